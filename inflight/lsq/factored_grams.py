@@ -8,12 +8,16 @@ block's own fit of X to Z, what is kept is
 - ``rest`` = (Z - X F)'(Z - X F), in single precision: nothing large cancels in it any more;
 - ``given`` = B, in double precision: the calibration's products with every column.
 
-With any other fit G of X, with E = F - G and H = B - A (F + G) / 2,
+A fit G of X, any one, explains
 
-    (Z - X G)'(Z - X G)  =  rest + E'H + H'E,
+    S(G)  =  G'H + H'G,  H = B - A G / 2,
 
-exactly, whether A can be inverted or not. G = 0 gives the block as it was, G = F what its own calibration
-leaves. Blocks of several days hold one pair (A, B) a day, and `rest` is their sum.
+of the products Z'Z, exactly, whether A can be inverted or not. With another fit G in the place of F
+
+    (Z - X G)'(Z - X G)  =  rest + S(F) - S(G).
+
+G = 0 gives the block as it was, G = F what its own calibration leaves. Blocks of several days hold one pair
+(A, B) a day, and `rest` is their sum, as S(F) is; a fit G of all of them needs the sums of A and of B alone.
 
 Columns that join (`FactoredGrams.bordered`, `expand`) are appended to what all forms share; a form that
 was made before does not see them.
@@ -416,48 +420,34 @@ class FactoredGrams:
         """True of blocks less each fit of their own: `rest` as it is."""
         return self.taken is None and self.dead is not None
 
-    def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
-        """Return E and H of some blocks; (block, fit * base, column) each."""
-        kept = self._kept_factors if self.taken is not None else None
-        both = self._made_factors(columns, blocks) if kept is None else _part_of(kept, blocks, columns)
-        half = both.shape[1] // 2
-        return both[:, :half], both[:, half:]
-
-    @cached_property
-    def _kept_factors(self) -> Floats | None:
-        """E and H of all blocks; (block, 2 * fit * base, column). None where they are made each time.
+    def _factors(self, columns: Indices, blocks: Indices) -> Iterator[tuple[Floats, Floats]]:
+        """Yield pairs L and R of some blocks: `rest` lacks the sum of L'R + R'L; (block, m, column) each.
 
         In double precision: where a block hardly determines the calibration, its own fit F is huge along what
-        it does not, and so is E; only E'H is small.
+        it does not, and only what it explains is small.
         """
-        shape = (len(self), 2 * self.fits * self.shared.base, len(self.names))
-        if np.prod(shape) > _KEPT_FACTORS:
-            return None
-        return self._factors_with(np.empty(shape), np.arange(len(self.names)))
-
-    def _factors_with(self, out: Floats, columns: Indices) -> Floats:
-        """Return factors (block, 2 * fit * base, column) with those of some columns filled in."""
-        for some in _in_parts(len(self), out.shape[1] * columns.size):
-            out[some, :, columns] = self._made_factors(columns, np.arange(len(self))[some])
-        return out
-
-    def _made_factors(self, columns: Indices, blocks: Indices) -> Floats:
-        """Return [E; H] of columns in some blocks; (block, 2 * fit * base, column)."""
-        at, k = self.places[columns], self.shared.base
-        both = np.empty((blocks.size, 2, self.fits, k, columns.size))
-        fitted, given = (_part_of(array, blocks, at) for array in (self.shared.fitted, self.shared.given))
-        total = fitted
+        at, shared, own = self.places[columns], self.shared, self.shared.own[blocks]
+        fitted, given = _part_of(shared.fitted, blocks, at), _part_of(shared.given, blocks, at)
+        yield _in_one(fitted), _in_one(_half_explained(own, given, fitted))
         if self.taken is not None and self.interval is not None:
-            taken = _part_of(self.taken, self.interval[blocks], columns)[:, None]
-            np.subtract(fitted, taken, out=both[:, 0])
-            total = fitted + taken
-        else:
-            both[:, 0] = fitted
-        np.matmul(-0.5 * self.shared.own[blocks], total, out=both[:, 1])
-        both[:, 1] += given
-        if self.dead is not None and self.dead.any():
-            both[..., self.dead[columns]] = 0.0
-        return both.reshape(blocks.size, 2 * self.fits * k, columns.size)
+            taken = _part_of(self.taken, self.interval[blocks], columns)
+            yield -taken, _half_explained(own.sum(axis=1), given.sum(axis=1), taken)
+
+    def _add_factors(self, out: Floats, own: Indices, other: Indices, blocks: Indices) -> None:
+        """Add to products (block, column, other) what `rest` lacks, where `own` are few columns."""
+        at, shared, squares = self.places[own], self.shared, self.shared.own[blocks]
+        fitted, given = _part_of(shared.fitted, blocks, at), _part_of(shared.given, blocks, at)
+        off, missed = fitted, given - squares @ fitted
+        if self.taken is not None and self.interval is not None:
+            taken, others = (_part_of(self.taken, self.interval[blocks], some) for some in (own, other))
+            off = fitted - taken[:, None]
+            out -= (given.sum(axis=1) - squares.sum(axis=1) @ taken).swapaxes(1, 2) @ others
+        # Others are read where they lie, with those between them, which are then left out.
+        at = self.places[other]
+        span = np.arange(at.min(), at.max() + 1) if at.size >= _FEW else at
+        made = _in_one(off).swapaxes(1, 2) @ _in_one(_part_of(shared.given, blocks, span))
+        made += _in_one(missed).swapaxes(1, 2) @ _in_one(_part_of(shared.fitted, blocks, span))
+        out += made if span is at else made.take(at - span[0], axis=2)
 
     # Products.
 
@@ -487,7 +477,7 @@ class FactoredGrams:
             return np.asarray(given.sum(axis=3))
         matrix, places, factored = self.shared.rest, self.places, not self._is_rest
         out = np.empty((which.size, own.size, other.size))
-        rank = 4 * self.fits * self.shared.base if factored else 1
+        rank = 2 * self.fits * self.shared.base if factored else 1
         for some in _in_parts(which.size, max(own.size * matrix.shape[1], rank * other.size)):
             blocks = which[some]
             if other.size < _FEW:
@@ -496,8 +486,7 @@ class FactoredGrams:
                 # Whole rows lie together in memory.
                 out[some] = matrix[blocks[:, None], places[own]].take(places[other], axis=2)
             if factored:
-                (e, h), (others_e, others_h) = self._factors(own, blocks), self._factors(other, blocks)
-                out[some] += e.swapaxes(1, 2) @ others_h + h.swapaxes(1, 2) @ others_e
+                self._add_factors(out[some], own, other, blocks)
         self._clear(out, own, other)
         return out
 
@@ -556,12 +545,9 @@ class FactoredGrams:
             part = which[some]
             out[some] = matrix[part[:, None, None, None], at[:, :, None], at[:, None, :]]
             if factored:
-                e, h = (
-                    one.reshape(*one.shape[:2], *groups.shape).transpose(0, 2, 3, 1)
-                    for one in self._factors(groups.ravel(), part)
-                )
-                product = e @ h.swapaxes(2, 3)
-                out[some] += product + product.swapaxes(2, 3)
+                for left, right in self._factors(groups.ravel(), part):
+                    product = _within(left, right, groups.shape[-1])
+                    out[some] += product + product.swapaxes(2, 3)
         if self.dead is not None and self.dead.any():
             dead = self.dead[groups]
             out *= ~(dead[:, :, None] | dead[:, None, :])
@@ -576,8 +562,8 @@ class FactoredGrams:
         out = np.einsum("bii->bi", self.shared.rest)[:, self.places[columns]].astype(np.float64)
         for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * columns.size):
             if not self._is_rest:
-                e, h = self._factors(columns, np.arange(len(self))[some])
-                out[some] += 2.0 * np.einsum("bmi,bmi->bi", e, h)
+                for left, right in self._factors(columns, np.arange(len(self))[some]):
+                    out[some] += 2.0 * np.einsum("bmi,bmi->bi", left, right)
         if self.dead is not None:
             out[:, self.dead[columns]] = 0.0
         return np.asarray(out)
@@ -601,10 +587,10 @@ class FactoredGrams:
                 size = 4 * self.fits * max(self.shared.base, 1) * every.size
                 for place, fold in enumerate(folds):
                     for some in _in_parts(len(fold), size):
-                        pair = self._factors(every, np.asarray(fold)[some])
-                        e, h = (part.reshape(-1, every.size) for part in pair)
-                        product = e.T @ h
-                        out[place] += product + product.T
+                        for pair in self._factors(every, np.asarray(fold)[some]):
+                            left, right = (part.reshape(-1, every.size) for part in pair)
+                            product = left.T @ right
+                            out[place] += product + product.T
             for one in out:
                 self._clear(one, every, every)
             self._sums[key] = out
@@ -831,12 +817,6 @@ class FactoredGrams:
         old = np.array([places[place] for place in earlier.places.tolist()], dtype=np.int64)
         new = np.setdiff1d(np.arange(len(self.names)), old)
         made, known = self.__dict__, earlier.__dict__
-        if known.get("_kept_factors") is not None:
-            shape = (*known["_kept_factors"].shape[:2], len(self.names))
-            if np.prod(shape) <= _KEPT_FACTORS:
-                factors = np.empty(shape)
-                factors[..., old] = known["_kept_factors"]
-                made["_kept_factors"] = self._factors_with(factors, new)
         squares = np.empty((len(self), len(self.names)))
         squares[:, old], squares[:, new] = earlier.squares, self._squares_of(new)
         made["squares"] = squares
@@ -903,16 +883,16 @@ class _KeptRows:
 
 #: Rows that may join those that are kept before they are copied.
 _SPARE_ROWS = 8
-#: Numbers that the factors of low rank may have to be kept.
-_KEPT_FACTORS = 25_000_000
 #: Cached properties that do not depend on which columns are dead.
-_CARRIED = ("_kept_factors", "_kept_rows", "_kept_within")
+_CARRIED = ("_kept_rows", "_kept_within")
 #: Columns from which on whole rows are read and the others left out.
 _FEW = 100
+#: Columns of groups that are multiplied with each other.
+_TOGETHER = 12
 #: Rows that are multiplied at a time: what is made of them fits a cache.
 _ROWS = 4_320
 #: Numbers that are made at once.
-_AT_ONCE = 1_000_000
+_AT_ONCE = 200_000
 
 
 def _sum_of(matrix: npt.NDArray[np.float32], blocks: Indices, width: int) -> Floats:
@@ -934,9 +914,44 @@ def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:
     return some.take(columns, axis=-1)
 
 
+def _half_explained(own: Floats, given: Floats, fit: Floats) -> Floats:
+    """Return H, with which a fit explains ``fit' H + H' fit`` of products; (..., base, column)."""
+    half = np.matmul(-0.5 * own, fit)
+    half += given
+    return half
+
+
+def _in_one(each: Floats) -> Floats:
+    """Return an array (block, fit, base, column) as (block, fit * base, column)."""
+    blocks, fits, base, columns = each.shape
+    return each.reshape(blocks, fits * base, columns)
+
+
+def _within(left: Floats, right: Floats, k: int) -> Floats:
+    """Return the products of k columns each, that follow each other, with k others; (block, group, k, k).
+
+    Some groups at a time are multiplied with each other, and what lies between two of them is left out: a
+    matrix product of a dozen columns takes less time than one of three.
+    """
+    groups, some = left.shape[2] // k, max(_TOGETHER // k, 1)
+    whole = groups - groups % some
+    out = np.empty((left.shape[0], groups, k, k))
+    for first, last, together in ((0, whole, some), (whole, groups, 1)):
+        if last > first:
+            shape = (*left.shape[:2], (last - first) // together, together * k)
+            one, other = (array[..., first * k : last * k].reshape(shape) for array in (left, right))
+            product = one.transpose(0, 2, 3, 1) @ other.transpose(0, 2, 1, 3)
+            product = product.reshape(*product.shape[:2], together, k, together, k)
+            own = np.einsum("ngiaib->ngiab", product)
+            out[:, first:last] = own.reshape(left.shape[0], -1, k, k)
+    return out
+
+
 def _are_neighbours(places: Indices) -> bool:
     """Return whether places follow each other."""
-    return bool(places.size and np.all(np.diff(places) == 1))
+    if not places.size or places[-1] - places[0] != places.size - 1:
+        return False
+    return bool((places[1:] > places[:-1]).all())
 
 
 def _in_parts(blocks: int, size: int) -> Iterator[slice]:
