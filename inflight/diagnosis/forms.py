@@ -748,8 +748,9 @@ class CellProducts:
             values = rows.followed(cells[some], entry.effect.label() in _HAS_CONSTANT)
             for block, part in enumerate(rows.parts):
                 own, on, f = left[part], acting[part], values[part]
-                both = np.einsum("trm,trk->tmk", own, on).reshape(len(f), -1)
-                cross[block][..., some] = (both.T @ f).reshape(m, k, -1)
+                for place in range(k):
+                    both = np.einsum("trm,tr->tm", own, on[..., place])
+                    cross[block, :, place, some] = both.T @ f
                 square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
                 inner[block][..., some] = (square.T @ f**2).reshape(k, k, -1)
         given = rows.given.copy()

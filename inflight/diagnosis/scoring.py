@@ -456,7 +456,7 @@ def score(
     for fold, part in enumerate(parts):
         block = rows[:, part]
         # What the model, fitted elsewhere, leaves of the residual: its products with all columns.
-        left = np.tensordot(weights[fold], block, 1)
+        left = np.matmul(weights[fold], block.swapaxes(0, 1))
         loss0[part] = left[:, y] + left[:, present.columns] @ weights[fold, 1:]
         left -= left[:, present.columns] @ own[fold]
         for group in groups:
@@ -532,13 +532,13 @@ class _Group:
         inner : ndarray, shape (block, candidate, k, k)
         """
         values, model = self.values[fold], self.model[fold]
-        linear = np.sum(left[:, self.columns] * values, axis=2)
-        square = np.sum(np.matmul(inner, values[:, :, None])[:, :, :, 0] * values, axis=2)
+        linear = np.einsum("bck,ck->bc", left[:, self.columns], values)
+        square = np.einsum("bckl,ck,cl->bc", inner, values, values)
         if present.size:
-            # Its columns last but one: the sum over them then runs along the candidates.
-            across = 2.0 * np.sum(rows[:, :, self.columns.T] * values.T, axis=2)
+            # Its columns last but one: sums run along the candidates.
+            across = np.einsum("pbkc,kc->pbc", rows[:, :, self.columns.T], 2.0 * values.T)
             across += (rows[:, :, present].reshape(-1, present.size) @ model).reshape(across.shape)
-            square = square + np.sum(across * model[:, None], axis=0)
+            square += np.einsum("pbc,pc->bc", across, model)
         return np.asarray(2.0 * linear + square), square
 
 

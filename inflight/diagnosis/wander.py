@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -219,15 +219,27 @@ def _log_likelihood(square: Floats, own: Floats, ratios: Floats) -> Floats:
 
 def _chance(ratio: float, own: Floats, ratios: Floats) -> float:
     """Return how often a constant parameter reaches a likelihood ratio, of what is common from few draws."""
-    generator, found = np.random.default_rng(WANDER_SETTINGS.seed), 1.0
-    for draws in (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws):
-        square = generator.standard_normal((draws, own.size)) ** 2
+    found = 1.0
+    for draws, square in zip(
+        (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws), _drawn_squares(own.size), strict=True
+    ):
         drawn = _log_likelihood(square, own, ratios).max(axis=1)
         drawn -= _log_likelihood(square, own, np.zeros(1))[:, 0]
         found = float((1 + np.sum(2.0 * drawn >= ratio)) / (1 + draws))
         if found > WANDER_SETTINGS.common:
             break
     return found
+
+
+@lru_cache(maxsize=2)
+def _drawn_squares(size: int) -> tuple[Floats, Floats]:
+    """Return squares of normal deviates, first few and then many draws of each size; (draw, size) both."""
+    generator = np.random.default_rng(WANDER_SETTINGS.seed)
+    first, then = (
+        generator.standard_normal((draws, size)) ** 2
+        for draws in (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws)
+    )
+    return first, then
 
 
 @dataclass(frozen=True)

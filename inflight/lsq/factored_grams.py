@@ -481,7 +481,7 @@ class FactoredGrams:
         for some in _in_parts(which.size, max(own.size * matrix.shape[1], rank * other.size)):
             blocks = which[some]
             if other.size < _FEW:
-                out[some] = matrix[blocks[:, None, None], places[own][:, None], places[other]]
+                out[some] = _entries(matrix, blocks, places[own][:, None], places[other])
             else:
                 # Whole rows lie together in memory.
                 out[some] = matrix[blocks[:, None], places[own]].take(places[other], axis=2)
@@ -543,7 +543,7 @@ class FactoredGrams:
         size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
         for some in _in_parts(which.size, size):
             part = which[some]
-            out[some] = matrix[part[:, None, None, None], at[:, :, None], at[:, None, :]]
+            out[some] = _entries(matrix, part, at[:, :, None], at[:, None, :])
             if factored:
                 for left, right in self._factors(groups.ravel(), part):
                     product = _within(left, right, groups.shape[-1])
@@ -862,10 +862,6 @@ class _KeptRows:
         self.values[used:count] = rows.swapaxes(0, 1)
         self.places.update(zip(columns, range(used, count), strict=True))
 
-    @property
-    def _every(self) -> Indices:
-        return np.arange(self.values.shape[1])[:, None]
-
     def clear(self, columns: Indices) -> None:
         """Set the products of some columns to 0."""
         self.values[:, :, columns] = 0.0
@@ -875,7 +871,10 @@ class _KeptRows:
         """Return the rows of some columns; (row, block, other). Not a copy where they lie together."""
         at = [self.places[column] for column in columns]
         if others is not None:
-            return self.values[np.array(at, dtype=np.int64)[:, None, None], self._every, others]
+            out = np.empty((len(at), self.values.shape[1], others.size))
+            for row, place in zip(out, at, strict=True):
+                np.take(self.values[place], others, axis=1, out=row, mode="clip")
+            return out
         if at == list(range(len(at))):
             return self.values[: len(at)]
         return self.values[at]
@@ -945,6 +944,19 @@ def _within(left: Floats, right: Floats, k: int) -> Floats:
             own = np.einsum("ngiaib->ngiab", product)
             out[:, first:last] = own.reshape(left.shape[0], -1, k, k)
     return out
+
+
+def _entries(
+    matrix: npt.NDArray[np.float32], blocks: Indices, rows: Indices, columns: Indices
+) -> npt.NDArray[np.float32]:
+    """Return some entries of some blocks' matrices; (block, ...), of the shape that both indices have."""
+    if _are_neighbours(blocks):
+        some = matrix[blocks[0] : blocks[-1] + 1]
+    else:
+        some = matrix[blocks]
+    # One index instead of three takes a quarter of the time.
+    at = rows * matrix.shape[2] + columns
+    return some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape)
 
 
 def _are_neighbours(places: Indices) -> bool:
