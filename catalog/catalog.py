@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,7 +25,7 @@ from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
 from inflight.catalog.garbage import Garbage, collect_garbage
 from inflight.catalog.lineage import LineageGraph, lineage_graph
-from inflight.catalog.location import is_workspace, open_database
+from inflight.catalog.location import database_url, is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable, stored_variables
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import (
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     import datetime as dt
 
     import xarray as xr
+    from sqlalchemy import URL
     from sqlalchemy.orm import Session
 
     from inflight.mission import Mission
@@ -87,8 +89,7 @@ class Catalog:
 
     Opening migrates the database when needed and closes runs whose process is gone. Several
     processes may read while one writes; a second writer waits, in PostgreSQL only for one of the same
-    dataset. A catalog can be pickled: it is
-    opened again where it arrives.
+    dataset. A catalog can be pickled: it is opened where it arrives, once in a process.
 
     Of a release's folder, wherever it was copied to, the days can be read in the same words: `open`, `days`,
     `read_day`, `inventory`. Nothing is written into it.
@@ -145,7 +146,7 @@ class Catalog:
         return f"Catalog({str(self.workspace)!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Catalog, (str(self.workspace), False)
+        return _arrived, (str(self.workspace),)
 
     # --- runs and days -------------------------------------------------------------------------
 
@@ -773,3 +774,21 @@ def _collections(session: Session, names: Iterable[str], datasets: Sequence[str]
 def _require_data(day: Day) -> None:
     if not day.segment:
         raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
+
+
+def _arrived(workspace: str) -> Catalog:
+    """Return a catalog that came from another process; every task of a job brings one.
+
+    A release's folder may have been exchanged for another one since: it is read again.
+    """
+    folder = Path(workspace)
+    if not is_workspace(folder):
+        return Catalog(folder, False)
+    return _opened(workspace, database_url(folder))
+
+
+@lru_cache(maxsize=16)
+def _opened(workspace: str, address: URL) -> Catalog:
+    """Return the catalog of a workspace; `address` is in the key: it may have moved since."""
+    del address
+    return Catalog(workspace, False)

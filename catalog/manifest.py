@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
@@ -22,12 +22,16 @@ _FLUSHES: Final = 8
 _FLUSHED_TOGETHER: Final = 100
 
 
-def write_manifest(folder: Path, progress: Progress = silent) -> str:
-    """Hash every file below `folder`, write its manifest; return the manifest's sha256."""
+def write_manifest(folder: Path, progress: Progress = silent, known: Mapping[Path, str] | None = None) -> str:
+    """Hash every file below `folder`, write its manifest; return the manifest's sha256.
+
+    `known` are hashes of files that were read back when they were written: they are not read again.
+    """
+    hashes = {} if known is None else known
     manifest = folder / MANIFEST
     with manifest.open("w", encoding="utf-8", newline="\n") as stream:
         names = tell_each(progress, "manifest", _files(folder))
-        stream.writelines(f"{_hash(folder / name)}  {name}\n" for name in names)
+        stream.writelines(f"{hashes.get(folder / name) or _hash(folder / name)}  {name}\n" for name in names)
     return _hash(manifest)
 
 

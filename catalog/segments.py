@@ -12,6 +12,7 @@ first day of every segment.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import itertools
 import os
 import re
@@ -19,7 +20,7 @@ import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -126,7 +127,7 @@ def write_segment(
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
     with _begun(Path(workspace), run_id, label) as begun:
         packing = _Packing(portable, QUICK_COMPRESSOR if quick else COMPRESSOR)
-        notes = _write_store(begun.folder, contents, layout, common, described, packing)
+        notes = _write_store(begun, contents, layout, common, described, packing)
         path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
@@ -153,7 +154,7 @@ def write_table(
     attributes = plain_attributes(dataset.attrs, f"dataset '{name}'")
     described: dict[str, Any] = {"row_dim": "", "chunk": 0, "days": [], "counts": []}
     with _begun(Path(workspace), run_id, _label(name)) as begun:
-        notes = _write_store(begun.folder, contents, None, attributes, described, _Packing(portable))
+        notes = _write_store(begun, contents, None, attributes, described, _Packing(portable))
         path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
@@ -191,11 +192,13 @@ class _Begun:
             with suppress(FileExistsError):
                 self.folder.mkdir(parents=True)
                 break
+        #: sha256 of each chunk, as it was read back.
+        self.hashes: dict[Path, str] = {}
 
     def finish(self) -> tuple[str, str, int]:
         """Hash; return path relative to the workspace, manifest sha256, bytes."""
         fault_point("segment_written")
-        sha256 = write_manifest(self.folder)
+        sha256 = write_manifest(self.folder, known=self.hashes)
         fault_point("manifest_written")
         return self.folder.relative_to(self._workspace).as_posix(), sha256, folder_bytes(self.folder)
 
@@ -238,7 +241,7 @@ class _Packing(NamedTuple):
 
 
 def _write_store(
-    folder: Path,
+    begun: _Begun,
     contents: Sequence[Variable],
     layout: Layout | None,
     attributes: dict[str, Any],
@@ -246,6 +249,7 @@ def _write_store(
     packing: _Packing,
 ) -> list[str]:
     """Write and read back all arrays; return notes about values that could not be packed."""
+    folder = begun.folder
     coordinates = [item.name for item in contents if item.coordinate]
     root = {
         **attributes,
@@ -260,7 +264,7 @@ def _write_store(
     for item in contents:
         encoding, pieces = encode(item.name, item.pieces, item.attributes)
         blocks = _blocks(item, pieces, encoding, layout)
-        arrays.append(_write_array(folder, item, encoding, blocks, packing))
+        arrays.append(_write_array(begun, item, encoding, blocks, packing))
         written.append(blocks[0])
         if encoding.note:
             notes.append(encoding.note)
@@ -308,7 +312,7 @@ def _blocks(
 
 
 def _write_array(
-    folder: Path, item: Variable, encoding: Encoding, blocks: Sequence[Array], packing: _Packing
+    begun: _Begun, item: Variable, encoding: Encoding, blocks: Sequence[Array], packing: _Packing
 ) -> dict[str, Any]:
     """Write the chunks of an array; return what describes it to Zarr."""
     from zarr.codecs import BloscCodec
@@ -319,8 +323,8 @@ def _write_array(
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
     delta = encoding.delta and not packing.portable
-    (folder / item.name).mkdir()
-    writer = ChunkWriter(folder / item.name, delta, packing.compressor)
+    (begun.folder / item.name).mkdir()
+    writer = ChunkWriter(begun.folder / item.name, delta, packing.compressor, begun.hashes)
     if item.in_rows:
         rest = (0,) * (len(inner) - 1)
         for index, block in enumerate(blocks):
@@ -403,11 +407,14 @@ class ChunkWriter:
         Store the first value and the differences of neighbours.
     compressor : str
         Of Blosc.
+    hashes : dict of Path to str
+        Receives the sha256 of each chunk as it was read back.
     """
 
     folder: Path
     delta: bool
     compressor: str = COMPRESSOR
+    hashes: dict[Path, str] = field(default_factory=dict)
 
     def write(self, place: tuple[int, ...], values: Array) -> None:
         """Write one chunk; of no values none, as Zarr does.
@@ -443,8 +450,9 @@ class ChunkWriter:
             typesize=flat.itemsize,
         )
         path.write_bytes(packed)
+        there = path.read_bytes()
         try:
-            found = numcodecs.blosc.decompress(path.read_bytes())
+            found = numcodecs.blosc.decompress(there)
         except (RuntimeError, ValueError):
             found = None
         if found != flat.tobytes():
@@ -454,6 +462,7 @@ class ChunkWriter:
                 channel=self.folder.name,
                 remedy="check the disk, then run again",
             )
+        self.hashes[path] = hashlib.sha256(there).hexdigest()
 
 
 def _label(name: str) -> str:

@@ -231,7 +231,7 @@ def _chance(ratio: float, own: Floats, ratios: Floats) -> float:
     return found
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _drawn_squares(size: int) -> tuple[Floats, Floats]:
     """Return squares of normal deviates, first few and then many draws of each size; (draw, size) both."""
     generator = np.random.default_rng(WANDER_SETTINGS.seed)

@@ -950,11 +950,8 @@ def _entries(
     matrix: npt.NDArray[np.float32], blocks: Indices, rows: Indices, columns: Indices
 ) -> npt.NDArray[np.float32]:
     """Return some entries of some blocks' matrices; (block, ...), of the shape that both indices have."""
-    if _are_neighbours(blocks):
-        some = matrix[blocks[0] : blocks[-1] + 1]
-    else:
-        some = matrix[blocks]
-    # One index instead of three takes a quarter of the time.
+    some = matrix[blocks[0] : blocks[-1] + 1] if _are_neighbours(blocks) else matrix[blocks]
+    # One index takes a fraction of the time of three.
     at = rows * matrix.shape[2] + columns
     return some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape)
 
