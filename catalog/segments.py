@@ -437,10 +437,8 @@ class ChunkWriter:
         if not flat.size:
             return
         if self.delta:
-            flat = np.diff(flat, prepend=flat.dtype.type(0))
+            flat = np.append(flat[:1], flat[1:] - flat[:-1])
         path = self.folder.joinpath("c", *map(str, place))
-        if not place[-1] or len(place) == 1:
-            path.parent.mkdir(parents=True, exist_ok=True)
         packed = numcodecs.blosc.compress(
             flat,
             self.compressor.encode(),
@@ -449,7 +447,12 @@ class ChunkWriter:
             numcodecs.blosc.AUTOBLOCKS,
             typesize=flat.itemsize,
         )
-        path.write_bytes(packed)
+        try:
+            path.write_bytes(packed)
+        except FileNotFoundError:
+            # The first chunk of its folder.
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(packed)
         there = path.read_bytes()
         try:
             found = numcodecs.blosc.decompress(there)

@@ -915,7 +915,7 @@ def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:
 
 def _half_explained(own: Floats, given: Floats, fit: Floats) -> Floats:
     """Return H, with which a fit explains ``fit' H + H' fit`` of products; (..., base, column)."""
-    half = np.matmul(-0.5 * own, fit)
+    half = np.asarray(-0.5 * own @ fit)
     half += given
     return half
 
@@ -923,7 +923,7 @@ def _half_explained(own: Floats, given: Floats, fit: Floats) -> Floats:
 def _in_one(each: Floats) -> Floats:
     """Return an array (block, fit, base, column) as (block, fit * base, column)."""
     blocks, fits, base, columns = each.shape
-    return each.reshape(blocks, fits * base, columns)
+    return np.asarray(each.reshape(blocks, fits * base, columns))
 
 
 def _within(left: Floats, right: Floats, k: int) -> Floats:
@@ -953,7 +953,7 @@ def _entries(
     some = matrix[blocks[0] : blocks[-1] + 1] if _are_neighbours(blocks) else matrix[blocks]
     # One index takes a fraction of the time of three.
     at = rows * matrix.shape[2] + columns
-    return some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape)
+    return np.asarray(some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape))
 
 
 def _are_neighbours(places: Indices) -> bool:
