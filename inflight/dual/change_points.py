@@ -24,12 +24,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from inflight.arrays import Floats
+from inflight.compiled import compiled
 from inflight.dual.readings import trimmed_covariance, white_covariance
 from inflight.lsq import MAD_TO_SIGMA
 
@@ -315,7 +315,7 @@ def _white_step_noise(white: Floats) -> StepNoise:
     return StepNoise(lengths, 2.0 * white / lengths[:, None, None], np.full(lengths.size, 1.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _over_limit(
     sums: Floats,
     level: Floats,
@@ -357,7 +357,7 @@ def _best_apart(at: Rows, length: int) -> Rows:
     return np.sort(at[_is_apart(at, place, length, np.full(place.max() + 2, -1))])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _is_apart(at: Rows, place: Rows, length: int, cell: Rows) -> npt.NDArray[np.bool_]:
     """Return which rows are taken; `cell` holds the row taken at each place, negative where none is yet."""
     taken = np.zeros(at.size, dtype=np.bool_)
@@ -373,7 +373,7 @@ def _is_apart(at: Rows, place: Rows, length: int, cell: Rows) -> npt.NDArray[np.
     return taken
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_splits(unit: Floats, taken: Rows, first: Rows, last: Rows) -> Rows:
     """Return the row between first and last that splits whitened values into the two levels of best fit."""
     best = np.empty_like(taken)
@@ -417,7 +417,7 @@ def find_spikes(values: Floats) -> npt.NDArray[np.bool_]:
     return _stand_out(unit, _local_levels(unit), CHANGE_POINT_SETTINGS.level_samples, limit, found)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _stand_out(
     unit: Floats, level: Floats, level_samples: int, usual: float, found: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.bool_]:
@@ -457,7 +457,7 @@ def winsorise(values: Floats) -> Floats:
     return np.asarray((median + share * (unit - median)) @ root.T)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _about_medians(unit: Floats) -> tuple[Floats, Floats]:
     """Return the median of each sample and its four neighbours, by axis, and the squared distance from it."""
     count = unit.shape[0]

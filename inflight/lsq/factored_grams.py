@@ -331,6 +331,7 @@ class FactoredGrams:
         names: Sequence[str],
         scale: Floats,
         base: Sequence[str],
+        columns: Collection[str] | None = None,
     ) -> Self:
         """Return blocks of Datasets of `as_dataset`, in order of time; of gigabytes there is one copy only.
 
@@ -342,35 +343,48 @@ class FactoredGrams:
             Of all parts together.
         names, scale, base
             Columns and residuals in their order, their units, and those of the calibration.
+        columns : collection of str, optional
+            Only these beside the calibration's and the residuals; all when absent.
         """
-        order = _stored_order(names, base)
-        k, width = len(base), len(order)
+        stored, k = _stored_order(names, base), len(base)
+        kept = np.array(
+            [
+                place
+                for place, name in enumerate(stored)
+                if columns is None or place < k or name in columns or is_residual(name)
+            ],
+            dtype=np.int64,
+        )
+        order, width = [stored[place] for place in kept], kept.size
+        own = [place for place, name in enumerate(names) if name in set(order)]
+        # Of each entry of a square matrix, its place in the packed triangle.
+        table = np.zeros((len(stored) - k, len(stored) - k), dtype=np.int64)
+        upper = np.triu_indices(len(table))
+        table[upper] = table.T[upper] = np.arange(upper[0].size)
+        table = table[np.ix_(kept[k:] - k, kept[k:] - k)]
         rest = np.zeros((blocks, width, width), dtype=np.float32)
         known: dict[str, Any] = {}
-        # Of each entry of a square matrix, its place in the packed triangle.
-        table = np.zeros((width - k, width - k), dtype=np.int64)
-        upper = np.triu_indices(width - k)
-        table[upper] = table.T[upper] = np.arange(upper[0].size)
         at = 0
         for part in parts:
             some = part["rest"].values
             for place, packed in enumerate(some, start=at):
                 rest[place, k:, k:] = packed[table]
-            nothing = np.zeros((*part["begins"].shape, 0, width))
+            nothing = np.zeros((*part["begins"].shape, 0, len(stored)))
             for name in ("given", "begins", "start", "end", "count"):
                 values = part[name].values if name in part else nothing
+                values = values[..., kept] if name == "given" else values
                 whole = known.setdefault(name, np.empty((blocks, *values.shape[1:]), dtype=values.dtype))
                 whole[at : at + len(some)] = values
             at += len(some)
         shared = _Shared(rest, known["given"])
-        places = np.array([order.index(name) for name in names], dtype=np.int64)
+        places = {name: place for place, name in enumerate(order)}
         return cls(
-            tuple(names),
-            places,
+            tuple(names[place] for place in own),
+            np.array([places[names[place]] for place in own], dtype=np.int64),
             known["start"],
             known["end"],
             known["count"],
-            np.asarray(scale),
+            np.asarray(scale)[own],
             known["begins"],
             shared,
         )

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,6 @@ from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding, parse_channel
-from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     INPUT_SETTINGS,
@@ -82,7 +82,6 @@ from inflight.tasks.pipelines import (
     register_outcome,
     reuse_interrupted_days,
 )
-from inflight.tasks.pipelines.two_sensor import housekeeping_channels
 from inflight.time import DAY, SECOND, day_bounds
 
 
@@ -626,16 +625,42 @@ def _geometry(
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """Gram blocks of a span, series, sums and outliers."""
+    """Gram blocks of a span, series, sums and outliers.
+
+    Attributes
+    ----------
+    read_white : callable
+        Reads the prewhitened blocks: of some columns beside the calibration's, or with None of all. A search
+        needs all; who changes a model needs the variance of a row, and does not wait for hundreds of
+        megabytes.
+    """
 
     raw: FactoredGrams
-    white: FactoredGrams
+    read_white: Callable[[Collection[str] | None], FactoredGrams]
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
     outliers: OutlierReport
 
+    @cached_property
+    def white(self) -> FactoredGrams:
+        """The prewhitened blocks of all columns."""
+        return self.read_white(None)
 
+    @cached_property
+    def white_of_base(self) -> FactoredGrams:
+        """The prewhitened blocks of the calibration's columns."""
+        return vars(self).get("white") or self.read_white(())
+
+    def with_raw(self, raw: FactoredGrams) -> Loaded:
+        """Return the same with other blocks as they are; what was read of the prewhitened ones is kept."""
+        other = replace(self, raw=raw)
+        vars(other).update({name: blocks for name, blocks in vars(self).items() if name in _READ_LATER})
+        return other
+
+
+#: What `Loaded` reads when it is asked for.
+_READ_LATER = ("white", "white_of_base")
 #: Variables of every form of the blocks.
 _BLOCKS = ("start", "end", "count")
 
@@ -663,9 +688,10 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day], progress: Prog
             part = part.rename({f"white_{name}": name for name in ("rest", *given)})
             yield part.assign(begins=(("block", "white_fit"), part["start"].values[:, None]))
 
-    raw, white = (
-        FactoredGrams.read(parts, blocks, names, scale, plan.base) for parts in (raw_parts(), white_parts())
-    )
+    def read_white(columns: Collection[str] | None) -> FactoredGrams:
+        return FactoredGrams.read(white_parts(), blocks, names, scale, plan.base, columns)
+
+    raw = FactoredGrams.read(raw_parts(), blocks, names, scale, plan.base)
     series = _joined_series(plan, kept, features[0])
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
@@ -673,7 +699,7 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day], progress: Prog
     }
     return Loaded(
         raw=raw,
-        white=white,
+        read_white=read_white,
         series=series,
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),
@@ -986,6 +1012,8 @@ def _linearised_spin(
     days: Sequence[np.datetime64],
 ) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
     """Return the model at its fitted parameters of the spin, and their terms."""
+    from inflight.spin import fit_folded_samples, spinning_sensor_of  # compiled: others do not wait for it
+
     own = spinning_sensor_of(model)
     if own is None:
         sensors = sensors_of(mission, model.comparison)
@@ -1108,6 +1136,8 @@ def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> JumpAtt
     """
     if not learns_states(mission, plan.model.comparison):
         return None
+    from inflight.tasks.pipelines.two_sensor import housekeeping_channels  # compiled, as above
+
     residual = series["residual"].reshape(len(series.tt2000), -1)
     there = (series["weight"] > 0) & np.asarray(np.isfinite(residual).all(axis=1))
     names = [name for name in housekeeping_channels(mission) if name in series.channels]

@@ -1009,7 +1009,7 @@ class Workbench:
         """Return the model with all that a search took, fitted; None where no entries of a model are that."""
         if any(option.number for option in search.accepted):
             return None
-        loaded = replace(self.made.loaded, raw=search.raw)
+        loaded = self.made.loaded.with_raw(search.raw)
         made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
         maker, additions = self._maker_of(made), list[Addition]()
         for option in search.accepted:
@@ -1048,7 +1048,7 @@ class Workbench:
         if any(fault["sure"] for fault in found.plumbing):
             return found, []
         # Lags, widths and products that the search made have their columns in its Gram blocks.
-        loaded = replace(self.made.loaded, raw=search.raw)
+        loaded = self.made.loaded.with_raw(search.raw)
         self.made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
         self.__dict__.pop("_whole", None)
         steps = []
@@ -1145,7 +1145,7 @@ def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
-        row_variance(made.loaded.white, base),
+        row_variance(made.loaded.white_of_base, base),
     )
     return setup.where_told(made.used.model)
 

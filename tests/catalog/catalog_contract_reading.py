@@ -147,7 +147,12 @@ class ReadingContract:
 
     def test_a_catalog_travels_to_another_process_as_its_folder(self, catalog):
         publish(catalog, NAME, DAYS[:1])
-        assert pickle.loads(pickle.dumps(catalog)).days(NAME) == catalog.days(NAME)
+        arrived = pickle.loads(pickle.dumps(catalog))
+        assert arrived.days(NAME) == catalog.days(NAME)
+        # The next task of the same process finds it open, and what was published since.
+        publish(catalog, NAME, DAYS[1:2])
+        assert pickle.loads(pickle.dumps(catalog)) is arrived
+        assert arrived.days(NAME) == catalog.days(NAME)
         opened = pickle.loads(pickle.dumps(catalog.open(NAME)))
         np.testing.assert_array_equal(opened["field"], samples(DAYS[0])["field"])
 

@@ -221,6 +221,14 @@ except SystemExit:
     assert json.loads(told.stdout.splitlines()[-1]) == []
 
 
+def test_who_changes_a_model_does_not_wait_for_what_compiles_loops():
+    code = (
+        "import sys, inflight.tasks.analysis.revise; print('numba' in sys.modules, 'prefect' in sys.modules)"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.split() == ["False", "False"]
+
+
 def test_a_wrong_lag_is_told_set_and_taken_back(inflight, root):
     """The model's heater acts late, and the data's at once: the lag is set to what the data say."""
     entry = "{effect: channel_field, name: leak, channel: heater_current, lag: 900 s}"

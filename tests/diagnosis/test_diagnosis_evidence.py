@@ -343,6 +343,13 @@ def test_blocks_of_several_days_are_those_of_their_days():
     parts = [stored.isel(block=slice(0, 3)), stored.isel(block=slice(3, 10))]
     read = FactoredGrams.read(iter(parts), 10, days.names, days.scale, base)
     np.testing.assert_array_equal(read.rows(np.arange(11)), factored.rows(np.arange(11)))
+    # Of some columns only: beside them the calibration's and the residual.
+    some = FactoredGrams.read(iter(parts), 10, days.names, days.scale, base, {"z1", "n1"})
+    assert some.names == tuple(name for name in days.names if name in {*base, "z1", "residual"})
+    places = factored.index(some.names)
+    np.testing.assert_array_equal(some.scale, days.scale[places])
+    every = np.arange(len(some.names))
+    np.testing.assert_allclose(some.rows(every), factored.rows(places, places), rtol=1e-12)
 
 
 def test_a_sum_of_columns_and_a_function_of_the_block_join_factored_blocks():
