@@ -149,12 +149,12 @@ class ReadingContract:
         publish(catalog, NAME, DAYS[:1])
         arrived = pickle.loads(pickle.dumps(catalog))
         assert arrived.days(NAME) == catalog.days(NAME)
+        opened = pickle.loads(pickle.dumps(catalog.open(NAME)))
+        np.testing.assert_array_equal(opened["field"], samples(DAYS[0])["field"])
         # The next task of the same process finds it open, and what was published since.
         publish(catalog, NAME, DAYS[1:2])
         assert pickle.loads(pickle.dumps(catalog)) is arrived
         assert arrived.days(NAME) == catalog.days(NAME)
-        opened = pickle.loads(pickle.dumps(catalog.open(NAME)))
-        np.testing.assert_array_equal(opened["field"], samples(DAYS[0])["field"])
 
     def test_an_unpublished_day_is_read_by_its_record(self, catalog):
         with catalog.run("ingest") as run:
