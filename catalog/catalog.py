@@ -789,6 +789,9 @@ def _arrived(workspace: str) -> Catalog:
 
 @lru_cache(maxsize=16)
 def _opened(workspace: str, address: URL) -> Catalog:
-    """Return the catalog of a workspace; `address` is in the key: it may have moved since."""
+    """Return the catalog of a workspace; `address` is in the key: it may have moved since.
+
+    Whether it is the folder's own is asked once; who writes is asked each time (`require_not_moved`).
+    """
     del address
     return Catalog(workspace, False)

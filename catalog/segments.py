@@ -437,7 +437,9 @@ class ChunkWriter:
         if not flat.size:
             return
         if self.delta:
-            flat = np.append(flat[:1], flat[1:] - flat[:-1])
+            plain, flat = flat, np.empty_like(flat)
+            flat[0] = plain[0]
+            np.subtract(plain[1:], plain[:-1], out=flat[1:])
         path = self.folder.joinpath("c", *map(str, place))
         packed = numcodecs.blosc.compress(
             flat,

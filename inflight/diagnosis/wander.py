@@ -220,26 +220,23 @@ def _log_likelihood(square: Floats, own: Floats, ratios: Floats) -> Floats:
 def _chance(ratio: float, own: Floats, ratios: Floats) -> float:
     """Return how often a constant parameter reaches a likelihood ratio, of what is common from few draws."""
     found = 1.0
-    for draws, square in zip(
-        (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws), _drawn_squares(own.size), strict=True
-    ):
+    for few in (True, False):
+        square = _drawn_squares(own.size, few)
         drawn = _log_likelihood(square, own, ratios).max(axis=1)
         drawn -= _log_likelihood(square, own, np.zeros(1))[:, 0]
-        found = float((1 + np.sum(2.0 * drawn >= ratio)) / (1 + draws))
+        found = float((1 + np.sum(2.0 * drawn >= ratio)) / (1 + len(drawn)))
         if found > WANDER_SETTINGS.common:
             break
     return found
 
 
 @lru_cache(maxsize=4)
-def _drawn_squares(size: int) -> tuple[Floats, Floats]:
-    """Return squares of normal deviates, first few and then many draws of each size; (draw, size) both."""
+def _drawn_squares(size: int, few: bool) -> Floats:
+    """Return squares of normal deviates, the first draws or the many that follow them; (draw, size)."""
     generator = np.random.default_rng(WANDER_SETTINGS.seed)
-    first, then = (
-        generator.standard_normal((draws, size)) ** 2
-        for draws in (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws)
-    )
-    return first, then
+    first = generator.standard_normal((WANDER_SETTINGS.first_draws, size))
+    deviates = first if few else generator.standard_normal((WANDER_SETTINGS.draws, size))
+    return np.asarray(deviates**2)
 
 
 @dataclass(frozen=True)

@@ -356,7 +356,8 @@ class FactoredGrams:
             dtype=np.int64,
         )
         order, width = [stored[place] for place in kept], kept.size
-        own = [place for place, name in enumerate(names) if name in set(order)]
+        places = {name: place for place, name in enumerate(order)}
+        own = [place for place, name in enumerate(names) if name in places]
         # Of each entry of a square matrix, its place in the packed triangle.
         table = np.zeros((len(stored) - k, len(stored) - k), dtype=np.int64)
         upper = np.triu_indices(len(table))
@@ -372,12 +373,12 @@ class FactoredGrams:
             nothing = np.zeros((*part["begins"].shape, 0, len(stored)))
             for name in ("given", "begins", "start", "end", "count"):
                 values = part[name].values if name in part else nothing
-                values = values[..., kept] if name == "given" else values
+                if name == "given" and columns is not None:
+                    values = values.take(kept, axis=-1)
                 whole = known.setdefault(name, np.empty((blocks, *values.shape[1:]), dtype=values.dtype))
                 whole[at : at + len(some)] = values
             at += len(some)
         shared = _Shared(rest, known["given"])
-        places = {name: place for place, name in enumerate(order)}
         return cls(
             tuple(names[place] for place in own),
             np.array([places[names[place]] for place in own], dtype=np.int64),
@@ -648,9 +649,10 @@ class FactoredGrams:
             places=np.searchsorted(stored, self.places[kept]),
             scale=self.scale[kept],
             shared=_Shared(
-                self.shared.rest[:, stored[:, None], stored],
-                self.shared.given[..., stored],
-                self.shared.fitted[..., stored],
+                # A matrix of each block lies together, as everywhere.
+                np.ascontiguousarray(self.shared.rest[:, stored[:, None], stored]),
+                np.ascontiguousarray(self.shared.given[..., stored]),
+                np.ascontiguousarray(self.shared.fitted[..., stored]),
             ),
         )
 
@@ -887,6 +889,7 @@ class _KeptRows:
         if others is not None:
             out = np.empty((len(at), self.values.shape[1], others.size))
             for row, place in zip(out, at, strict=True):
+                # Places are known to be there; numpy would copy once more to raise where one is not.
                 np.take(self.values[place], others, axis=1, out=row, mode="clip")
             return out
         if at == list(range(len(at))):
@@ -964,7 +967,10 @@ def _entries(
     matrix: npt.NDArray[np.float32], blocks: Indices, rows: Indices, columns: Indices
 ) -> npt.NDArray[np.float32]:
     """Return some entries of some blocks' matrices; (block, ...), of the shape that both indices have."""
-    some = matrix[blocks[0] : blocks[-1] + 1] if _are_neighbours(blocks) else matrix[blocks]
+    if not _are_neighbours(blocks):
+        each = blocks.reshape(-1, *[1] * np.broadcast(rows, columns).ndim)
+        return np.asarray(matrix[each, rows, columns])
+    some = matrix[blocks[0] : blocks[-1] + 1]
     # One index takes a fraction of the time of three.
     at = rows * matrix.shape[2] + columns
     return np.asarray(some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape))

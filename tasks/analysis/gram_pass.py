@@ -631,8 +631,8 @@ class Loaded:
     ----------
     read_white : callable
         Reads the prewhitened blocks: of some columns beside the calibration's, or with None of all. A search
-        needs all; who changes a model needs the variance of a row, and does not wait for hundreds of
-        megabytes.
+        needs all; who changes a model needs the variance of a row, and neither unpacks nor holds the matrices
+        of all columns.
     """
 
     raw: FactoredGrams
@@ -650,7 +650,7 @@ class Loaded:
     @cached_property
     def white_of_base(self) -> FactoredGrams:
         """The prewhitened blocks of the calibration's columns."""
-        return vars(self).get("white") or self.read_white(())
+        return self.white if "white" in vars(self) else self.read_white(())
 
     def with_raw(self, raw: FactoredGrams) -> Loaded:
         """Return the same with other blocks as they are; what was read of the prewhitened ones is kept."""
@@ -689,7 +689,9 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day], progress: Prog
             yield part.assign(begins=(("block", "white_fit"), part["start"].values[:, None]))
 
     def read_white(columns: Collection[str] | None) -> FactoredGrams:
-        return FactoredGrams.read(white_parts(), blocks, names, scale, plan.base, columns)
+        white = FactoredGrams.read(white_parts(), blocks, names, scale, plan.base, columns)
+        give_back_memory()
+        return white
 
     raw = FactoredGrams.read(raw_parts(), blocks, names, scale, plan.base)
     series = _joined_series(plan, kept, features[0])
