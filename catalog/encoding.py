@@ -142,7 +142,9 @@ def _packed(pieces: Sequence[Array], resolution: float) -> tuple[Encoding, list[
         absent = None if np.isfinite(piece).all() else np.isnan(piece)
         finite = piece if absent is None else np.where(absent, 0.0, piece).astype(piece.dtype, copy=False)
         if finite.size:
-            largest = max(largest, float(finite.max()) / resolution, -float(finite.min()) / resolution)
+            # Rounded as what is stored is: the quotient may lie just below the last integer that has room.
+            ends = np.rint([float(finite.max()) / resolution, -float(finite.min()) / resolution])
+            largest = max(largest, *ends.tolist())
         # An infinity has no integer.
         if not largest < 2**53:
             return None

@@ -117,6 +117,11 @@ def test_packing_returns_every_multiple_of_the_resolution(quanta, resolution, mi
     np.testing.assert_array_equal(encoding.decode(stored[0]), values)
 
 
+def test_the_largest_integer_of_four_bytes_is_stored_in_eight():
+    encoding, stored = encode("x", [np.array([2147483.647, -2147483.646])], {"resolution": 0.001})
+    assert (encoding.stored, stored[0].tolist()) == ("int64", [2147483647, -2147483646])
+
+
 @given(hnp.arrays(st.sampled_from([np.float32, np.float64]), st.integers(1, 40)))
 def test_any_float_survives_whatever_resolution_is_claimed(values):
     encoding, stored = encode("x", [values], {"resolution": 0.01})
