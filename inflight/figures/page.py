@@ -57,13 +57,13 @@ def figure_parts(plot: Model, place: str) -> dict[str, str]:
     As `bokeh.embed.components`, without the checks that are for who writes Bokeh applications.
     """
     document = Document()
-    document.add_root(plot)
+    # The figure stays outside of it: it would look for what belongs to it, which the serializer meets anyway.
     serializer = _FigureSerializer(deferred=False)
     fields = {
         "version": bokeh_version,
         "title": document.title,
         "config": serializer.encode(document.config),
-        "roots": serializer.encode(document.roots),
+        "roots": serializer.encode([plot]),
     }
     drawn = {"docid": place, "roots": {plot.id: place}, "root_ids": [plot.id]}
     # In a string of the script: Bokeh turns names of characters back into them.
