@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 ROW_TIMES: Final = {"time": "tt2000", "block": "start"}
 #: Attribute of a store's root group that describes its rows.
 LAYOUT_ATTRIBUTE: Final = "inflight"
-#: Bumped when stores of the past can no longer be read like new ones.
-LAYOUT_VERSION: Final = 1
+#: Bumped when a version before could not read what is written: it says so then.
+LAYOUT_VERSION: Final = 2
+#: Layouts that are read: up to 1 each chunk of an array had folders for its place in the grid.
+LAYOUTS: Final = (1, 2)
+#: Of the names of new stores' chunks: those of an array lie in one folder.
+CHUNK_SEPARATOR: Final = "."
 #: Attributes that give a variable its meaning: they may not change inside a segment.
 FIXED_ATTRIBUTES: Final = ("units", "frame", "resolution", "cadence_ns")
 
@@ -51,6 +55,11 @@ class Layout:
     chunk: int
     days: tuple[DayData, ...]
     rows: tuple[SegmentRow, ...]
+
+
+def chunk_key(place: Sequence[int], separator: str) -> str:
+    """Return the name of a chunk in the folder of its array: Zarr's default encoding of chunk keys."""
+    return separator.join(("c", *map(str, place)))
 
 
 def lay_out(days: Sequence[DayData]) -> Layout:

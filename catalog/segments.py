@@ -31,10 +31,12 @@ import numpy.typing as npt
 from inflight.catalog.encoding import Encoding, encode
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import (
+    CHUNK_SEPARATOR,
     LAYOUT_ATTRIBUTE,
     LAYOUT_VERSION,
     Layout,
     Variable,
+    chunk_key,
     lay_out,
     plain_attributes,
     shared_attributes,
@@ -57,6 +59,9 @@ warnings.filterwarnings(
 #: Up to so many components of a packed variable get chunks of their own: differences along time pack
 #: a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
+
+#: Bytes of an array whose days may be one chunk: a file costs as much as packing a tenth of a megabyte.
+SMALL_ARRAY: Final = 1 << 16
 
 #: Level 5 takes 5 to 10 times as long on differences of channels and is 3 % smaller at best.
 COMPRESSION_LEVEL: Final = 2
@@ -95,7 +100,8 @@ def write_segment(
     portable : bool
         Leave out the delta filter, which the Zarr v3 specification does not know.
     quick : bool
-        Pack quickly rather than well.
+        What is made again from the archive any time: packed quickly rather than well, and all days of a small
+        array in one chunk, so that it takes few files.
 
     Returns
     -------
@@ -126,7 +132,7 @@ def write_segment(
     }
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
     with _begun(Path(workspace), run_id, label) as begun:
-        packing = _Packing(portable, QUICK_COMPRESSOR if quick else COMPRESSOR)
+        packing = _Packing(portable, quick)
         notes = _write_store(begun, contents, layout, common, described, packing)
         path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
@@ -234,10 +240,15 @@ def clear_unfinished(workspace: Path, run_id: str, folders: Iterable[Path] | Non
 
 
 class _Packing(NamedTuple):
-    """How the chunks of a store are packed: without the delta filter, and by which compressor of Blosc."""
+    """How the chunks of a store are packed: without the delta filter, and quickly."""
 
     portable: bool
-    compressor: Literal["zstd", "lz4"] = COMPRESSOR
+    quick: bool = False
+
+    @property
+    def compressor(self) -> Literal["zstd", "lz4"]:
+        """Which of Blosc's."""
+        return QUICK_COMPRESSOR if self.quick else COMPRESSOR
 
 
 def _write_store(
@@ -320,8 +331,10 @@ def _write_array(
 
     inner = blocks[0].shape[1:] if item.in_rows else ()
     components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
-    row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
-    shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
+    shape = (sum(len(block) for block in blocks), *inner) if item.in_rows else blocks[0].shape
+    if packing.quick and item.in_rows and sum(block.nbytes for block in blocks) <= SMALL_ARRAY:
+        blocks = [np.concatenate(blocks)]
+    row_chunk = (len(blocks[0]), *((1,) if components else inner)) if item.in_rows else shape
     delta = encoding.delta and not packing.portable
     (begun.folder / item.name).mkdir()
     writer = ChunkWriter(begun.folder / item.name, delta, packing.compressor, begun.hashes)
@@ -337,7 +350,8 @@ def _write_array(
         "name": item.name,
         "shape": shape,
         "dtype": encoding.stored,
-        "chunks": tuple(max(1, size) for size in (row_chunk if item.in_rows else shape)),
+        "chunks": tuple(max(1, size) for size in row_chunk),
+        "chunk_key_encoding": {"name": "default", "separator": CHUNK_SEPARATOR},
         "filters": [Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
         "compressors": [BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         "fill_value": encoding.fill,
@@ -440,7 +454,7 @@ class ChunkWriter:
             plain, flat = flat, np.empty_like(flat)
             flat[0] = plain[0]
             np.subtract(plain[1:], plain[:-1], out=flat[1:])
-        path = self.folder.joinpath("c", *map(str, place))
+        path = self.folder / chunk_key(place, CHUNK_SEPARATOR)
         packed = numcodecs.blosc.compress(
             flat,
             self.compressor.encode(),
@@ -449,12 +463,7 @@ class ChunkWriter:
             numcodecs.blosc.AUTOBLOCKS,
             typesize=flat.itemsize,
         )
-        try:
-            path.write_bytes(packed)
-        except FileNotFoundError:
-            # The first chunk of its folder.
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(packed)
+        path.write_bytes(packed)
         there = path.read_bytes()
         try:
             found = numcodecs.blosc.decompress(there)

@@ -1,9 +1,10 @@
 """Reading stores: one decoder for the eager, the lazy and the verifying way.
 
 A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (one a
-component for packed vectors), so a day is read without an event loop, and a chunk that is missing
-is an error here, where Zarr would give fill. Every chunk is compared with the manifest as it is read: of
-flipped bits a third decode to other numbers without an error, and the check costs half a millisecond a day.
+component for packed vectors; several days of a small one of what is made again), so a day is read without an
+event loop, and a chunk that is missing is an error here, where Zarr would give fill. Every chunk is compared
+with the manifest as it is read: of flipped bits a third decode to other numbers without an error, and the
+check costs half a millisecond a day.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.catalog.encoding import Encoding
-from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
+from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUTS, chunk_key
 from inflight.catalog.manifest import stated_hashes
 from inflight.errors import CatalogError, IntegrityError
 
@@ -37,7 +38,7 @@ REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'infl
 
 @dataclass(frozen=True, kw_only=True)
 class StoredVariable:
-    """One array of a store; `shape` and `chunks` are those on disk."""
+    """One array of a store; `shape`, `chunks` and what separates the names of chunks are those on disk."""
 
     name: str
     dims: tuple[str, ...]
@@ -46,6 +47,7 @@ class StoredVariable:
     attributes: dict[str, Any]
     encoding: Encoding
     delta: bool
+    separator: str
 
     def decoded_dtype(self) -> np.dtype[Any]:
         """Return the dtype of the values as they are read."""
@@ -87,8 +89,7 @@ class Store:
             When the chunk is missing or damaged.
         """
         variable = self.variables[name]
-        index, offset = divmod(start, self.chunk)
-        if stop - start > self.chunk - offset:
+        if stop - start > self.chunk - start % self.chunk:
             raise CatalogError(f"rows {start} to {stop} are not in one day of {self.folder}")
         if 0 in variable.shape:
             # Nothing is stored of it, such as the estimate of days that tell nothing.
@@ -97,6 +98,8 @@ class Store:
             range(-(-size // chunk))
             for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
         ]
+        # A small array has several days in one chunk.
+        index, offset = divmod(start, variable.chunks[0])
         parts = [self._chunk(variable, (index, *place)) for place in itertools.product(*grid)]
         block = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
         return variable.encoding.decode(block[offset : offset + stop - start])
@@ -134,7 +137,7 @@ class Store:
         return {**self.variables[name].attributes, **(own[index] if own else {})}
 
     def _chunk(self, variable: StoredVariable, place: tuple[int, ...]) -> Array:
-        name = "/".join((variable.name, "c", *map(str, place)))
+        name = f"{variable.name}/{chunk_key(place, variable.separator)}"
         try:
             packed = (self.folder / name).read_bytes()
             if hashlib.sha256(packed).hexdigest() != self.hashes.get(name):
@@ -147,12 +150,20 @@ class Store:
                 f"chunk cannot be read: {error}",
                 file=str(self.folder / name),
                 channel=variable.name,
-                day=self.days[place[0]] if self.in_rows(variable.name) and place[0] < len(self.days) else "",
+                day=self._days_of(variable, place),
                 remedy=REMEDY,
             ) from error
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
         return block
+
+    def _days_of(self, variable: StoredVariable, place: tuple[int, ...]) -> str:
+        """Return the day, or the days from the first to the last, of a chunk."""
+        if not self.in_rows(variable.name):
+            return ""
+        each = variable.chunks[0] // self.chunk
+        days = self.days[place[0] * each : (place[0] + 1) * each]
+        return " to ".join(dict.fromkeys((days[0], days[-1]))) if days else ""
 
 
 def _no_values(variable: StoredVariable, shape: tuple[int, ...]) -> Array:
@@ -187,9 +198,9 @@ def _read_metadata(folder: str, _stamp: int) -> Store:
         arrays = root["consolidated_metadata"]["metadata"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise _cannot_open(folder, error) from error
-    if described["layout"] != LAYOUT_VERSION:
+    if described["layout"] not in LAYOUTS:
         raise IntegrityError(
-            f"store has layout {described['layout']}, this version reads {LAYOUT_VERSION}", file=folder
+            f"store has layout {described['layout']}, this version reads up to {LAYOUTS[-1]}", file=folder
         )
     return Store(
         folder=path,
@@ -223,4 +234,5 @@ def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
         attributes=attributes,
         encoding=encoding,
         delta="numcodecs.delta" in codecs,
+        separator=metadata["chunk_key_encoding"]["configuration"]["separator"],
     )

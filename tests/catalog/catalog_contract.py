@@ -209,7 +209,7 @@ class RunContract:
     def test_a_damaged_day_is_not_adopted(self, catalog):
         with catalog.run("ingest") as dead:
             day = dead.stage(NAME, samples(DAYS[0]), day=DAYS[0], key="k")
-        (catalog.workspace / day.segment / "flag" / "c" / "0").unlink()
+        (catalog.workspace / day.segment / "flag" / "c.0").unlink()
         with catalog.run("ingest") as run:
             assert run.adopt(NAME, DAYS[0], "k") is None
 
@@ -464,11 +464,11 @@ class UpkeepContract:
         with catalog.run("ingest") as run:
             catalog.record_files(run, [delivered(run, "abc")])
         assert catalog.verify() == []
-        chunk = catalog.workspace / catalog.current(NAME, DAYS[0]).segment / "flag" / "c" / "0"
+        chunk = catalog.workspace / catalog.current(NAME, DAYS[0]).segment / "flag" / "c.0"
         chunk.write_bytes(b"nonsense")
         (fault,) = catalog.verify()
         assert fault["item"] == NAME
-        assert fault["path"].endswith("flag/c/0")
+        assert fault["path"].endswith("flag/c.0")
         assert catalog.verify("l1/other") == []
 
     def test_verify_tells_a_parent_that_does_not_exist(self, catalog):

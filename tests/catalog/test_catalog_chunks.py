@@ -7,6 +7,7 @@ import zarr
 from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import Delta
 
+from inflight.catalog.layout import CHUNK_SEPARATOR
 from inflight.catalog.segments import COMPRESSION_LEVEL, COMPRESSOR, ChunkWriter
 from inflight.errors import IntegrityError
 
@@ -35,11 +36,13 @@ def test_chunks_are_the_bytes_that_zarr_writes(tmp_path, dtype, shape, delta):
         chunks=shape,
         filters=[Delta(dtype=np.dtype(dtype).str)] if delta else None,
         compressors=[BloscCodec(cname=COMPRESSOR, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
+        chunk_key_encoding={"name": "default", "separator": CHUNK_SEPARATOR},
     )
     array[...] = data
     place = (0,) * len(shape)
+    (tmp_path / "own").mkdir()
     ChunkWriter(tmp_path / "own", delta).write(place, data)
-    name = "/".join(("c", *map(str, place)))
+    name = ".".join(("c", *map(str, place)))
     assert (tmp_path / "own" / name).read_bytes() == (tmp_path / "zarr" / name).read_bytes()
 
 

@@ -129,7 +129,7 @@ def test_nothing_to_release_is_told(catalog):
 
 def test_a_damaged_store_stops_a_release(catalog):
     (day, *_) = ingest(catalog, DAYS)
-    (catalog.workspace / day.segment / "field" / "c" / "0" / "0").unlink()
+    (catalog.workspace / day.segment / "field" / "c.0.0").unlink()
     with pytest.raises(CatalogError):
         catalog.release("1.0")
     assert list((catalog.workspace / "releases").iterdir()) == []

@@ -171,7 +171,7 @@ def test_a_copy_that_is_not_whole_is_told(copied):
 
 
 def test_a_flipped_byte_is_found_as_it_is_read(copied):
-    (chunk,) = (copied / "data").glob("l2.field-*.zarr/flag/c/0")
+    (chunk,) = (copied / "data").glob("l2.field-*.zarr/flag/c.0")
     content = bytearray(chunk.read_bytes())
     content[-1] ^= 1
     chunk.write_bytes(content)

@@ -267,7 +267,7 @@ def test_dataset_names_that_could_leave_the_workspace_are_refused(tmp_path, name
 
 def test_a_missing_or_cut_chunk_is_an_error_and_not_fill(tmp_path):
     segment, store = written(tmp_path, [DayData(day, samples(day)) for day in DAYS])
-    chunk = tmp_path / segment.path / "temperature" / "c" / "1"
+    chunk = tmp_path / segment.path / "temperature" / "c.1"
     whole = chunk.read_bytes()
     chunk.unlink()
     with pytest.raises(IntegrityError, match="temperature"):
@@ -282,12 +282,12 @@ def test_the_manifest_finds_changed_missing_and_added_files(tmp_path):
     segment, _ = written(tmp_path, [DayData(day, samples(day)) for day in DAYS])
     folder = tmp_path / segment.path
     assert manifest_faults(folder, segment.sha256) == []
-    chunk = folder / "flag" / "c" / "0"
+    chunk = folder / "flag" / "c.0"
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"\x00\x01")
-    (folder / "flag" / "c" / "1").unlink()
+    (folder / "flag" / "c.1").unlink()
     (folder / "extra").write_text("")
     faults = dict(manifest_faults(folder, segment.sha256))
-    assert sorted(faults) == ["extra", "flag/c/0", "flag/c/1"]
+    assert sorted(faults) == ["extra", "flag/c.0", "flag/c.1"]
     assert manifest_faults(folder, "0" * 64)[0][0] == "MANIFEST.sha256"
 
 

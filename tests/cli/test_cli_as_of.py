@@ -87,7 +87,7 @@ def test_what_comes_out_otherwise_is_told_with_its_days(inflight, revised):
         for one in catalog.days_by_id(edge.parent for edge in catalog.lineage(day))
         if one.dataset == "l1/turning" and one.day == FIRST
     ]
-    (revised / source.segment / "field" / "c" / "0" / "0").unlink()
+    (revised / source.segment / "field" / "c.0.0").unlink()
     told = inflight("reprocess", "-w", revised, "--as-of", "1.0", "--end", FIRST + 1, "--json")
     assert told.code != 0
     assert str(FIRST) in {one["day"] for one in told.json["problems"]}

@@ -146,7 +146,7 @@ def test_a_damaged_day_of_the_archive_fails_alone_and_is_named(stage, fresh, vie
     workspace = fresh("taken_in")
     day = Catalog(workspace).current("l1/turning", DAYS[1])
     row = day.rows[0] // catalog_chunk(workspace / day.segment)
-    damage(next(p for p in (workspace / day.segment / "field" / "c" / str(row)).rglob("*") if p.is_file()), 0)
+    damage(next((workspace / day.segment / "field").glob(f"c.{row}.*")), 0)
     report = stage.run("reprocess", workspace, batch_days=BATCH).report
     assert report["days"]["failed"] == 1
     (problem,) = report["problems"]
