@@ -23,7 +23,7 @@ ROW_TIMES: Final = {"time": "tt2000", "block": "start"}
 LAYOUT_ATTRIBUTE: Final = "inflight"
 #: Bumped when a version before could not read what is written: it says so then.
 LAYOUT_VERSION: Final = 2
-#: Layouts that are read: up to 1 each chunk of an array had folders for its place in the grid.
+#: Layouts that are read. In 1 a chunk had folders for its place in the grid, and a component its own chunks.
 LAYOUTS: Final = (1, 2)
 #: Of the names of new stores' chunks: those of an array lie in one folder.
 CHUNK_SEPARATOR: Final = "."

@@ -56,8 +56,8 @@ warnings.filterwarnings(
     "ignore", message=".*Consolidated metadata is currently not part in the Zarr format 3.*"
 )
 
-#: Up to so many components of a packed variable get chunks of their own: differences along time pack
-#: a vector in half the space that interleaved components take.
+#: Up to so many components of a packed variable lie one after another in a chunk, in a portable store
+#: each in its own: differences along time pack a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
 
 #: Bytes of an array whose days may be one chunk: a file costs as much as packing a tenth of a megabyte.
@@ -326,33 +326,30 @@ def _write_array(
     begun: _Begun, item: Variable, encoding: Encoding, blocks: Sequence[Array], packing: _Packing
 ) -> dict[str, Any]:
     """Write the chunks of an array; return what describes it to Zarr."""
-    from zarr.codecs import BloscCodec
+    from zarr.codecs import BloscCodec, TransposeCodec
     from zarr.codecs.numcodecs import Delta
 
     inner = blocks[0].shape[1:] if item.in_rows else ()
-    components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
+    is_vector = encoding.delta and len(inner) == 1 and 0 < inner[0] <= MOST_COMPONENTS
+    transposed, split = is_vector and not packing.portable, is_vector and packing.portable
     shape = (sum(len(block) for block in blocks), *inner) if item.in_rows else blocks[0].shape
     if packing.quick and item.in_rows and sum(block.nbytes for block in blocks) <= SMALL_ARRAY:
         blocks = [np.concatenate(blocks)]
-    row_chunk = (len(blocks[0]), *((1,) if components else inner)) if item.in_rows else shape
     delta = encoding.delta and not packing.portable
     (begun.folder / item.name).mkdir()
     writer = ChunkWriter(begun.folder / item.name, delta, packing.compressor, begun.hashes)
-    if item.in_rows:
-        rest = (0,) * (len(inner) - 1)
-        for index, block in enumerate(blocks):
-            for part in range(inner[0]) if components else range(1):
-                values = block[:, part : part + 1] if components else block
-                writer.write((index, part, *rest) if inner else (index,), values)
-    else:
-        writer.write((0,) * blocks[0].ndim, blocks[0])
+    for index, block in enumerate(blocks):
+        parts = np.hsplit(block, inner[0]) if split else [block.T if transposed else block]
+        for part, values in enumerate(parts):
+            writer.write((index, part, *(0,) * (block.ndim - 2))[: block.ndim], values)
+    filters: list[Any] = [TransposeCodec(order=(1, 0))] if transposed else []
     return {
         "name": item.name,
         "shape": shape,
         "dtype": encoding.stored,
-        "chunks": tuple(max(1, size) for size in row_chunk),
+        "chunks": tuple(max(1, size) for size in (parts[0] if split else blocks[0]).shape),
         "chunk_key_encoding": {"name": "default", "separator": CHUNK_SEPARATOR},
-        "filters": [Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
+        "filters": [*filters, Delta(dtype=np.dtype(encoding.stored).str)] if delta else filters,
         "compressors": [BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         "fill_value": encoding.fill,
         "attributes": {**item.attributes, **encoding.attributes()},

@@ -1,10 +1,10 @@
 """Reading stores: one decoder for the eager, the lazy and the verifying way.
 
-A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (one a
-component for packed vectors; several days of a small one of what is made again), so a day is read without an
-event loop, and a chunk that is missing is an error here, where Zarr would give fill. Every chunk is compared
-with the manifest as it is read: of flipped bits a third decode to other numbers without an error, and the
-check costs half a millisecond a day.
+A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (of
+a small one of what is made again several are), so a day is read without an event loop, and a chunk that is
+missing is an error here, where Zarr would give fill. Every chunk is compared with the manifest as it is read:
+of flipped bits a third decode to other numbers without an error, and the check costs half a millisecond a
+day.
 """
 
 from __future__ import annotations
@@ -35,10 +35,20 @@ Array = npt.NDArray[Any]
 #: The way back from a damaged store.
 REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'inflight reprocess' make it again"
 
+#: What is done with the values of a chunk, one after the other.
+_CODECS: Final = [
+    [*turned, *differences, "bytes", "blosc"]
+    for turned in ([], ["transpose"])
+    for differences in ([], ["numcodecs.delta"])
+]
+
 
 @dataclass(frozen=True, kw_only=True)
 class StoredVariable:
-    """One array of a store; `shape`, `chunks` and what separates the names of chunks are those on disk."""
+    """One array of a store; `shape`, `chunks` and what separates the names of chunks are those on disk.
+
+    A chunk that is `transposed` has the values of a component one after another.
+    """
 
     name: str
     dims: tuple[str, ...]
@@ -47,6 +57,7 @@ class StoredVariable:
     attributes: dict[str, Any]
     encoding: Encoding
     delta: bool
+    transposed: bool
     separator: str
 
     def decoded_dtype(self) -> np.dtype[Any]:
@@ -144,7 +155,7 @@ class Store:
                 raise ValueError("its content is not what was written")
             raw = numcodecs.blosc.decompress(packed)
             flat = np.frombuffer(raw, dtype=np.dtype(variable.encoding.stored).newbyteorder("<"))
-            block = flat.reshape(variable.chunks)
+            block = flat.reshape(variable.chunks[::-1] if variable.transposed else variable.chunks)
         except (OSError, RuntimeError, ValueError) as error:
             raise IntegrityError(
                 f"chunk cannot be read: {error}",
@@ -154,8 +165,8 @@ class Store:
                 remedy=REMEDY,
             ) from error
         if variable.delta:
-            block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
-        return block
+            block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(block.shape)
+        return np.ascontiguousarray(block.T) if variable.transposed else block
 
     def _days_of(self, variable: StoredVariable, place: tuple[int, ...]) -> str:
         """Return the day, or the days from the first to the last, of a chunk."""
@@ -224,7 +235,7 @@ def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
     attributes = dict(metadata["attributes"])
     encoding = Encoding.from_attributes(attributes, metadata["data_type"])
     codecs = [codec["name"] for codec in metadata["codecs"]]
-    if codecs[-1] != "blosc" or codecs[:-1] not in (["bytes"], ["numcodecs.delta", "bytes"]):
+    if codecs not in _CODECS:
         raise IntegrityError(f"variable '{name}' has codecs {codecs}, which this version does not write")
     return StoredVariable(
         name=name,
@@ -234,5 +245,6 @@ def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
         attributes=attributes,
         encoding=encoding,
         delta="numcodecs.delta" in codecs,
+        transposed="transpose" in codecs,
         separator=metadata["chunk_key_encoding"]["configuration"]["separator"],
     )

@@ -2,6 +2,7 @@ import json
 import pickle
 import shutil
 
+import numcodecs.blosc
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,10 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from store_cases import unfinished_stores
+from zarr.codecs import TransposeCodec
 
 from inflight.catalog import DayData, segments, write_segment, write_table
 from inflight.catalog.encoding import encode
-from inflight.catalog.manifest import manifest_faults
+from inflight.catalog.manifest import manifest_faults, write_manifest
 from inflight.catalog.stores import open_store
 from inflight.errors import ContentError, IntegrityError
 from inflight.time import TT2000_FILL, day_bounds
@@ -38,6 +40,84 @@ def test_days_come_back_identical_with_attributes_and_coordinates(tmp_path, port
     segment, store = written(tmp_path, data, portable=portable)
     for index, item in enumerate(data):
         xr.testing.assert_identical(day_back(store, segment, index), item.dataset)
+
+
+def in_the_first_layout(folder, target):
+    """Write a store as versions before layout 2 did: a folder for each place, a chunk for each component."""
+    new = zarr.open_group(folder, mode="r")
+    described = {**new.attrs["inflight"], "layout": 1}
+    old = zarr.create_group(target, attributes={**new.attrs, "inflight": described})
+    for name, array in new.arrays():
+        vector = any(isinstance(one, TransposeCodec) for one in array.filters)
+        copied = old.create_array(
+            name,
+            shape=array.shape,
+            dtype=array.dtype,
+            chunks=(described["chunk"], 1) if vector else array.chunks,
+            filters=[one for one in array.filters if not isinstance(one, TransposeCodec)],
+            compressors=array.compressors,
+            fill_value=array.fill_value,
+            attributes=dict(array.attrs),
+            dimension_names=array.metadata.dimension_names,
+        )
+        copied[...] = array[...]
+    zarr.consolidate_metadata(target)
+    write_manifest(target)
+    return open_store(str(target))
+
+
+def test_days_of_the_first_layout_are_read_as_they_were(tmp_path):
+    data = [DayData(day, samples(day, step_s=60 * (1 + index))) for index, day in enumerate(DAYS)]
+    segment, store = written(tmp_path, data)
+    old = in_the_first_layout(tmp_path / segment.path, tmp_path / "old")
+    assert (tmp_path / "old" / "field" / "c" / "2" / "1").is_file()
+    assert (old.variables["field"].chunks[1], store.variables["field"].chunks[1]) == (1, 3)
+    for index, item in enumerate(data):
+        xr.testing.assert_identical(day_back(old, segment, index), item.dataset)
+
+
+def test_a_layout_of_a_later_version_is_an_error_that_says_so(tmp_path):
+    segment, _ = written(tmp_path, [DayData(DAYS[0], samples(DAYS[0]))])
+    folder = tmp_path / segment.path
+    text = (folder / "zarr.json").read_text().replace('"layout": 2', '"layout": 3')
+    (folder / "zarr.json").write_text(text)
+    (folder / "MANIFEST.sha256").unlink()
+    write_manifest(folder)
+    with pytest.raises(IntegrityError, match="layout 3, this version reads up to 2"):
+        open_store(str(folder))
+
+
+def test_the_components_of_a_vector_lie_one_after_another_in_one_chunk_that_zarr_reads(tmp_path):
+    data = [DayData(day, samples(day)) for day in DAYS]
+    segment, store = written(tmp_path, data)
+    folder = tmp_path / segment.path
+    assert sorted(path.name for path in (folder / "field").glob("c*")) == ["c.0.0", "c.1.0", "c.2.0"]
+    raw = np.frombuffer(numcodecs.blosc.decompress((folder / "field" / "c.1.0").read_bytes()), np.int32)
+    plain = zarr.open_group(folder, mode="r")["field"][store.chunk : 2 * store.chunk]
+    np.testing.assert_array_equal(np.cumsum(raw, dtype=np.int32), plain.T.ravel())
+    assert plain[0, 0] != plain[0, 1]
+
+
+def test_days_of_a_small_array_are_one_chunk_where_it_is_made_again(tmp_path):
+    data = [DayData(day, samples(day, step_s=600 * (1 + index))) for index, day in enumerate(DAYS)]
+    segment, store = written(tmp_path, data, quick=True)
+    folder = tmp_path / segment.path
+    assert [path.name for path in (folder / "field").glob("c*")] == ["c.0.0"]
+    for index, item in enumerate(data):
+        xr.testing.assert_identical(day_back(store, segment, index), item.dataset)
+    (folder / "field" / "c.0.0").write_bytes(b"")
+    with pytest.raises(IntegrityError, match="chunk cannot be read") as caught:
+        day_back(store, segment, 1)
+    assert caught.value.day == "2005-12-30 to 2006-01-01"
+
+
+def test_days_of_a_large_array_are_chunks_of_their_own(tmp_path, monkeypatch):
+    data = [DayData(day, samples(day)) for day in DAYS]
+    monkeypatch.setattr(segments, "SMALL_ARRAY", 3 * 145 * 8)
+    segment, store = written(tmp_path, data, quick=True)
+    chunks = {name: len(list((tmp_path / segment.path / name).glob("c*"))) for name in store.variables}
+    assert (chunks["tt2000"], chunks["temperature"], chunks["field"]) == (1, 1, 3)
+    xr.testing.assert_identical(day_back(store, segment, 1), data[1].dataset)
 
 
 def test_each_day_is_one_chunk_of_the_longest_days_length_and_the_rest_is_fill(tmp_path):
