@@ -464,11 +464,11 @@ class _FewSamples:
     def __init__(self, effects: Sequence[ModelEffect], samples: xr.Dataset) -> None:
         times = _times(samples)
         self._effects = effects
-        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, times.size // _ROWS))))
+        self._step = max(1, times.size // _ROWS)
+        self._few = PlainSamples.of(samples.isel(time=slice(None, None, self._step)))
         self._times = _times(cast("xr.Dataset", self._few))
-        self._since, self._every = (
-            np.asarray(one - times[:1], dtype=np.float64) for one in (self._times, times)
-        )
+        self._between = np.diff(self._times).astype(np.float64)
+        self._behind = (times - self._every(self._times, times.size)).astype(np.float64)
         # By identity: a changed effect has the name of the one in whose place it is.
         self._values = {id(entry): entry.values(self._times) for entry in effects}
         self._field = self._corrected(effects)
@@ -477,7 +477,17 @@ class _FewSamples:
         """Return by how much the field changes with another effect in the place of one."""
         changed = self._corrected([*self._effects[:place], moved, *self._effects[place + 1 :]])
         rows = _by_axis(list((changed - self._field).T))
-        return tuple(None if row is None else np.interp(self._every, self._since, row) for row in rows)
+        return tuple(None if row is None else self._drawn(row) for row in rows)
+
+    def _drawn(self, row: Floats) -> Floats:
+        """Return straight lines between the values at few samples, at all; level behind the last of them."""
+        slope = np.append(np.diff(row) / self._between, 0.0)
+        every = self._behind.size
+        return np.asarray(self._every(slope, every) * self._behind + self._every(row, every))
+
+    def _every(self, values: npt.NDArray[Any], size: int) -> npt.NDArray[Any]:
+        """Return for each of all samples the value of the last of the few before it."""
+        return values.repeat(self._step)[:size]
 
     def _corrected(self, effects: Effects) -> Floats:
         def values_of(entry: ModelEffect) -> dict[str, Floats]:

@@ -410,17 +410,37 @@ class TimedValue:
         # Stamps of one interval are most there are: they need one look, and have one value.
         if t.ndim == 1 and t.size > 1 and self._interval(table, t.min()) == self._interval(table, t.max()):
             return self._from_table(table, t[0])
+        if t.ndim == 1 and np.all(t[1:] >= t[:-1]):
+            # Of others in order, one look an interval is enough.
+            begins = np.unique(np.append(0, np.searchsorted(t, table["start"].values)))
+            begins = begins[begins < t.size]
+            counts = np.diff(begins, append=t.size)
+            index = self._interval(table, t[begins + counts - 1])
+            if np.all(self._holds(table, index, t[begins + counts - 1])):
+                rows = zip(self._values_in(table, index), counts, strict=True)
+                return np.concatenate([np.broadcast_to(row, (count, row.size)) for row, count in rows])
         index = self._interval(table, t)
-        inside = (index >= 0) & (t < table["end"].values[np.clip(index, 0, None)])
+        inside = self._holds(table, index, t)
         if not np.all(inside):
             first = np.atleast_1d(t)[~np.atleast_1d(inside)][0]
             raise ModelError(
                 f"the calibration table for '{self.key}' is not valid at {to_utc(first)}",
                 remedy="reprocess the span, or certify a table for it",
             )
+        return self._values_in(table, index)
+
+    def _values_in(self, table: xr.Dataset, index: npt.NDArray[np.int64]) -> Floats:
+        """Return the values in intervals of a table; (..., component)."""
         places = {name: place for place, name in enumerate(table["parameter"].values.tolist())}
         columns = [places[name] for name in component_names(self.key, self.parameter)]
         return np.asarray(table["value"].values[:, columns][index])
+
+    @staticmethod
+    def _holds(
+        table: xr.Dataset, index: npt.NDArray[np.int64], t: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.bool_]:
+        """Return whether times are in the intervals that begin last before them."""
+        return np.asarray((index >= 0) & (t < table["end"].values[np.clip(index, 0, None)]))
 
     @staticmethod
     def _interval(table: xr.Dataset, t: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
