@@ -9,6 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 #: What tells the libraries that multiply matrices so, when set before they are loaded.
 ONE_THREAD_VARIABLES = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -17,9 +22,15 @@ ONE_THREAD_VARIABLES = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MK
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Let products of matrices take one thread, in this process and until the end of the block."""
+    with _libraries().limit(limits=1):
+        yield
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries that multiply matrices; looking for them takes as long as reading some days."""
     # scipy has a BLAS of its own, which is found only once it is loaded.
     import scipy.linalg  # noqa: F401
-    from threadpoolctl import threadpool_limits
+    from threadpoolctl import ThreadpoolController
 
-    with threadpool_limits(1):
-        yield
+    return ThreadpoolController()

@@ -626,20 +626,28 @@ def time_derivative(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 
     shape = (-1,) + (1,) * (values.ndim - 1)
     change = np.diff(values, axis=0) / step.reshape(shape)
     change[apart] = np.nan
-    missing = np.full_like(values[:1], np.nan)
-    before, after = np.concatenate([missing, change]), np.concatenate([change, missing])
-    both = 0.5 * (before + after)
-    sides = np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+    complete = bool(np.isfinite(change.sum()))
+    if complete:
+        sides = np.concatenate([change[:1], 0.5 * (change[:-1] + change[1:]), change[-1:]])
+    else:
+        missing = np.full_like(values[:1], np.nan)
+        before, after = np.concatenate([missing, change]), np.concatenate([change, missing])
+        both = 0.5 * (before + after)
+        sides = np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
     if len(values) < 5 or order < 4:
         return sides
     outer = change[:-3] + change[3:]
     inner = change[1:-2] + change[2:-1]
     fine = (7.0 * inner - outer) / 12.0
     # Uneven steps, by more than a stamp's rounding, keep the plain form.
-    if np.ptp(step) >= _EVEN * usual:
+    is_even = bool(np.ptp(step) < _EVEN * usual)
+    if not is_even:
         fours = [step[first : step.size - 3 + first] for first in range(4)]
         uneven = np.maximum.reduce(fours) - np.minimum.reduce(fours) >= _EVEN * usual
         fine[uneven] = np.nan
+    if complete and is_even:
+        sides[2:-2] = fine
+        return sides
     sides[2:-2] = np.where(np.isfinite(fine), fine, sides[2:-2])
     return sides
 

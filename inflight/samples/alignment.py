@@ -284,8 +284,9 @@ def _resample_values(name: str, series: Series, places: _Places, lag: int) -> tu
     picked = None if faster else places.picked(stamps, lag, cadence)
     if picked is not None:
         index, there = picked
-        chosen = values[index]
-        chosen[~there] = np.nan
+        chosen = values.take(index, axis=0)
+        if not there.all():
+            chosen[~there] = np.nan
         return chosen, "exact"
     wide = values.reshape(values.shape[0], -1)
     own_flags = _own_flags(series)
