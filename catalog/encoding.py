@@ -20,6 +20,9 @@ Array = npt.NDArray[Any]
 #: Attribute of a stored array that describes its encoding.
 ENCODING_ATTRIBUTE: Final = "inflight"
 
+#: Values that are packed at once: what is made of them on the way stays near the processor.
+_AT_ONCE: Final = 16384
+
 
 @dataclass(frozen=True, kw_only=True)
 class PackingSettings:
@@ -135,26 +138,27 @@ def encode(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> tu
     return replace(plain, note=note), list(pieces)
 
 
+# What is too large for a number of steps, and an infinity, which has none, are looked at where they come out.
+@np.errstate(over="ignore", invalid="ignore")
 def _packed(pieces: Sequence[Array], resolution: float) -> tuple[Encoding, list[Array]] | None:
     """Return the encoding as multiples of the resolution, and these; None unless it keeps all values."""
     largest, packed = 0.0, []
     for piece in pieces:
-        absent = None if np.isfinite(piece).all() else np.isnan(piece)
-        finite = piece if absent is None else np.where(absent, 0.0, piece).astype(piece.dtype, copy=False)
-        if finite.size:
-            # Rounded as what is stored is: the quotient may lie just below the last integer that has room.
-            ends = np.rint([float(finite.max()) / resolution, -float(finite.min()) / resolution])
-            largest = max(largest, *ends.tolist())
-        # An infinity has no integer.
-        if not largest < 2**53:
-            return None
+        absent = None
         # Whole numbers of steps are what is stored, whatever their type: as floats they need no copy.
-        steps = _steps(finite, resolution)
-        decoded = _values(steps, resolution, None, finite.dtype)
-        if not np.array_equal(decoded, finite):
+        steps = _exact_steps(piece, resolution)
+        if steps is None:
+            absent = None if np.isfinite(piece).all() else np.isnan(piece)
+            finite = piece if absent is None else np.where(absent, 0.0, piece).astype(piece.dtype, copy=False)
+            steps = _steps(finite, resolution)
+            decoded = _values(steps, resolution, None, finite.dtype)
             error, allowed = np.abs(decoded - finite), PACKING_SETTINGS.value_tolerance * np.abs(finite)
             if np.any((error > PACKING_SETTINGS.step_tolerance * resolution) | (error > allowed)):
                 return None
+        # Rounded as what is stored is: a quotient may lie just below the last integer that has room.
+        largest = max(largest, float(steps.max(initial=0.0)), -float(steps.min(initial=0.0)))
+        if not largest < 2**53:
+            return None
         packed.append((steps, absent))
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
     encoding = Encoding(
@@ -171,6 +175,18 @@ def _packed(pieces: Sequence[Array], resolution: float) -> tuple[Encoding, list[
         if absent is not None:
             values[absent] = missing
     return encoding, whole
+
+
+def _exact_steps(piece: Array, resolution: float) -> npt.NDArray[np.float64] | None:
+    """Return how many steps each value is; None unless all are there and come back to the last bit."""
+    flat = piece.ravel()
+    steps = np.empty(flat.size)
+    for begin in range(0, flat.size, _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        steps[some] = _steps(flat[some], resolution)
+        if not np.array_equal(_values(steps[some], resolution, None, flat.dtype), flat[some]):
+            return None
+    return steps.reshape(piece.shape)
 
 
 def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:
