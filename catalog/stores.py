@@ -111,7 +111,8 @@ class Store:
         ]
         # A small array has several days in one chunk.
         index, offset = divmod(start, variable.chunks[0])
-        parts = [self._chunk(variable, (index, *place)) for place in itertools.product(*grid)]
+        day = self.days[start // self.chunk]
+        parts = [self._chunk(variable, (index, *place), day) for place in itertools.product(*grid)]
         block = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
         return variable.encoding.decode(block[offset : offset + stop - start])
 
@@ -147,7 +148,7 @@ class Store:
         own = self.variable_attributes.get(name)
         return {**self.variables[name].attributes, **(own[index] if own else {})}
 
-    def _chunk(self, variable: StoredVariable, place: tuple[int, ...]) -> Array:
+    def _chunk(self, variable: StoredVariable, place: tuple[int, ...], day: str = "") -> Array:
         name = f"{variable.name}/{chunk_key(place, variable.separator)}"
         try:
             packed = (self.folder / name).read_bytes()
@@ -161,20 +162,12 @@ class Store:
                 f"chunk cannot be read: {error}",
                 file=str(self.folder / name),
                 channel=variable.name,
-                day=self._days_of(variable, place),
+                day=day,
                 remedy=REMEDY,
             ) from error
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(block.shape)
         return np.ascontiguousarray(block.T) if variable.transposed else block
-
-    def _days_of(self, variable: StoredVariable, place: tuple[int, ...]) -> str:
-        """Return the day, or the days from the first to the last, of a chunk."""
-        if not self.in_rows(variable.name):
-            return ""
-        each = variable.chunks[0] // self.chunk
-        days = self.days[place[0] * each : (place[0] + 1) * each]
-        return " to ".join(dict.fromkeys((days[0], days[-1]))) if days else ""
 
 
 def _no_values(variable: StoredVariable, shape: tuple[int, ...]) -> Array:

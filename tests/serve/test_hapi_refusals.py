@@ -117,10 +117,16 @@ def test_what_is_outside_is_not_found(client):
     assert answer.json()["status"]["code"] == 1400
 
 
+def chunks_of_temperature(root):
+    chunks = list(root.glob("stores/*/l2.field-20060101*/temperature/c.*"))
+    assert chunks
+    return chunks
+
+
 def test_what_cannot_be_read_is_an_error_of_the_server_that_tells_no_path(workspace, tmp_path, caplog):
     root = tmp_path / "probe"
     shutil.copytree(workspace, root)
-    for chunk in root.glob("stores/*/l2.field-20060101*/temperature/c/*"):
+    for chunk in chunks_of_temperature(root):
         chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
     client = Client(make_app(collection_of(root)))
     query = {"dataset": ID, "start": "2006-01-01", "stop": "2006-01-02"}
@@ -147,7 +153,7 @@ def test_a_defect_is_an_error_of_the_server(workspace, monkeypatch, caplog):
 def test_damage_met_on_the_way_breaks_the_answer_off(workspace, tmp_path, caplog):
     root = tmp_path / "probe"
     shutil.copytree(workspace, root)
-    for chunk in root.glob("stores/*/l2.field-20060101*/temperature/c/*"):
+    for chunk in chunks_of_temperature(root):
         chunk.unlink()
     client = Client(make_app(collection_of(root)))
     # The status is sent by then: only an answer without its end tells the client.
