@@ -121,8 +121,9 @@ def test_any_flipped_bit_of_a_chunk_is_found_and_never_read_as_numbers(fresh, da
     day = catalog.current(dataset, DAYS[1])
     row = day.rows[0] // catalog_chunk(workspace / day.segment)
     store = workspace / day.segment
+    hit = DAYS[1]
     if dataset.startswith("equations/"):  # its days share a chunk
-        row = 0
+        row, hit = 0, DAYS[0]
     in_rows = open_store(str(store)).in_rows
     chunks = sorted(path for path in store.glob(f"*/c.{row}*") if in_rows(path.parent.name))
     assert len(chunks) >= 3
@@ -136,7 +137,7 @@ def test_any_flipped_bit_of_a_chunk_is_found_and_never_read_as_numbers(fresh, da
         assert caught.value.day == DAYS[1]
         assert caught.value.channel == chunk.parent.name
         if chunk.parent.name != "tt2000":  # even spacing is known without a read
-            with pytest.raises(IntegrityError, match=DAYS[1]):
+            with pytest.raises(IntegrityError, match=hit):
                 catalog.open(dataset).load()
         chunk.write_bytes(whole)
     assert catalog.verify() == []
