@@ -178,7 +178,7 @@ def decoded(cat: Catalog, days: Sequence[Day]) -> float:
 def _written(cat: Catalog, day: Day, scratch: Path) -> float:
     """Return the seconds of compressing and writing a day's arrays as they are stored, without zarr."""
     group = zarr.open_group(cat.workspace / str(day.segment), mode="r")
-    chunks = []
+    files = []
     for name in cat.variables_of(day):
         array = group[name]
         assert isinstance(array, zarr.Array)
@@ -188,12 +188,14 @@ def _written(cat: Catalog, day: Day, scratch: Path) -> float:
         (stored,) = array.compressors
         blosc = numcodecs.Blosc(stored.cname.value, stored.clevel)
         values = np.asarray(array[slice(*day.rows)]).reshape(day.rows[1] - day.rows[0], -1)
-        chunks += [(delta, blosc, np.ascontiguousarray(column)) for column in values.T]
+        columns = [np.ascontiguousarray(column) for column in values.T]
+        together = [columns] if array.shards else [[column] for column in columns]
+        files += [(delta, blosc, chunks) for chunks in together]
 
     def write() -> None:
-        for at, (delta, blosc, column) in enumerate(chunks):
-            packed = blosc.encode(delta.encode(column) if delta is not None else column)
-            (scratch / f"chunk-{at}").write_bytes(packed)
+        for at, (delta, blosc, chunks) in enumerate(files):
+            plain = (delta.encode(one) if delta is not None else one for one in chunks)
+            (scratch / f"file-{at}").write_bytes(b"".join(blosc.encode(one) for one in plain))
 
     return min(timed(write, 3))
 

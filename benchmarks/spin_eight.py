@@ -61,7 +61,7 @@ def readings_of_a_day(seed: int = 1) -> tuple[Floats, Floats, Int64]:
 
 
 def store(folder: Path, readings: Floats, phase: Floats, stamps: Int64) -> None:
-    """Write a day as the archive does."""
+    """Write a day much as the archive does."""
     group = zarr.open_group(folder, mode="w-", zarr_format=3)
     for name, values in (
         ("field", np.rint(readings / _STEP_NT).astype("i4")),

@@ -138,7 +138,7 @@ def encode(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> tu
     return replace(plain, note=note), list(pieces)
 
 
-# What is too large for a number of steps, and an infinity, which has none, are looked at where they come out.
+# Without warnings of overflow and infinities: the look at `largest` refuses them.
 @np.errstate(over="ignore", invalid="ignore")
 def _packed(pieces: Sequence[Array], resolution: float) -> tuple[Encoding, list[Array]] | None:
     """Return the encoding as multiples of the resolution, and these; None unless it keeps all values."""

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 ROW_TIMES: Final = {"time": "tt2000", "block": "start"}
 #: Attribute of a store's root group that describes its rows.
 LAYOUT_ATTRIBUTE: Final = "inflight"
-#: Bumped when a version before could not read what is written: it says so then.
+#: Bumped when earlier versions cannot read what is written; they then say so.
 LAYOUT_VERSION: Final = 2
-#: Layouts that are read. In 1 a chunk had folders for its place in the grid, and a component its own chunks.
+#: Layouts that are read. In 1 a chunk had folders for its place in the grid, and each component its own file.
 LAYOUTS: Final = (1, 2)
-#: Of the names of new stores' chunks: those of an array lie in one folder.
+#: Stands between the parts of a new chunk's name: with a dot all chunks of an array lie in one folder.
 CHUNK_SEPARATOR: Final = "."
 #: Attributes that give a variable its meaning: they may not change inside a segment.
 FIXED_ATTRIBUTES: Final = ("units", "frame", "resolution", "cadence_ns")
@@ -60,6 +60,27 @@ class Layout:
 def chunk_key(place: Sequence[int], separator: str) -> str:
     """Return the name of a chunk in the folder of its array: Zarr's default encoding of chunk keys."""
     return separator.join(("c", *map(str, place)))
+
+
+def join_shard(chunks: Sequence[bytes]) -> bytes:
+    """Return packed chunks as one shard: Zarr's codec ``sharding_indexed``, its index at the end."""
+    from numcodecs.checksum32 import CRC32C
+
+    ends = np.cumsum([len(chunk) for chunk in chunks])
+    index = np.column_stack([np.append(0, ends[:-1]), np.diff(ends, prepend=0)]).astype("<u8").tobytes()
+    return b"".join([*chunks, index, CRC32C.checksum(index).to_bytes(4, "little")])
+
+
+def split_shard(content: bytes, count: int) -> list[memoryview]:
+    """Return the packed chunks of a shard, in order.
+
+    Raises
+    ------
+    ValueError
+        When it has not so many.
+    """
+    index = np.frombuffer(content[-16 * count - 4 : -4], dtype="<u8").reshape(count, 2)
+    return [memoryview(content)[begin : begin + size] for begin, size in index.tolist()]
 
 
 def lay_out(days: Sequence[DayData]) -> Layout:

@@ -37,9 +37,11 @@ from inflight.catalog.layout import (
     Layout,
     Variable,
     chunk_key,
+    join_shard,
     lay_out,
     plain_attributes,
     shared_attributes,
+    split_shard,
     variables,
 )
 from inflight.catalog.manifest import MANIFEST, flush, flush_files, folder_bytes, write_manifest
@@ -56,11 +58,12 @@ warnings.filterwarnings(
     "ignore", message=".*Consolidated metadata is currently not part in the Zarr format 3.*"
 )
 
-#: Up to so many components of a packed variable lie one after another in a chunk, in a portable store
-#: each in its own: differences along time pack a vector in half the space that interleaved components take.
+#: Up to so many components of a packed variable have chunks of their own, in one file: differences along time
+#: pack a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
 
-#: Bytes of an array whose days may be one chunk: a file costs as much as packing a tenth of a megabyte.
+#: Up to so many bytes, unpacked, all days of an array are one chunk where it is made again: a file costs as
+#: much as packing a tenth of a megabyte.
 SMALL_ARRAY: Final = 1 << 16
 
 #: Level 5 takes 5 to 10 times as long on differences of channels and is 3 % smaller at best.
@@ -326,30 +329,36 @@ def _write_array(
     begun: _Begun, item: Variable, encoding: Encoding, blocks: Sequence[Array], packing: _Packing
 ) -> dict[str, Any]:
     """Write the chunks of an array; return what describes it to Zarr."""
-    from zarr.codecs import BloscCodec, TransposeCodec
+    from zarr.codecs import BloscCodec
     from zarr.codecs.numcodecs import Delta
 
     inner = blocks[0].shape[1:] if item.in_rows else ()
-    is_vector = encoding.delta and len(inner) == 1 and 0 < inner[0] <= MOST_COMPONENTS
-    transposed, split = is_vector and not packing.portable, is_vector and packing.portable
+    is_vector = encoding.delta and len(inner) == 1 and 1 < inner[0] <= MOST_COMPONENTS
     shape = (sum(len(block) for block in blocks), *inner) if item.in_rows else blocks[0].shape
     if packing.quick and item.in_rows and sum(block.nbytes for block in blocks) <= SMALL_ARRAY:
         blocks = [np.concatenate(blocks)]
     delta = encoding.delta and not packing.portable
+    # A portable store has no shards either: not every reader knows them.
+    in_shards = is_vector and not packing.portable
     (begun.folder / item.name).mkdir()
     writer = ChunkWriter(begun.folder / item.name, delta, packing.compressor, begun.hashes)
     for index, block in enumerate(blocks):
-        parts = np.hsplit(block, inner[0]) if split else [block.T if transposed else block]
+        place = (index, *(0,) * (block.ndim - 1))[: block.ndim]
+        parts = np.hsplit(block, inner[0]) if is_vector else [block]
+        if in_shards:
+            writer.write_shard(place, parts)
+            continue
         for part, values in enumerate(parts):
-            writer.write((index, part, *(0,) * (block.ndim - 2))[: block.ndim], values)
-    filters: list[Any] = [TransposeCodec(order=(1, 0))] if transposed else []
+            writer.write((index, part) if is_vector else place, values)
+    size = tuple(max(1, one) for one in blocks[0].shape)
     return {
         "name": item.name,
         "shape": shape,
         "dtype": encoding.stored,
-        "chunks": tuple(max(1, size) for size in (parts[0] if split else blocks[0]).shape),
+        "chunks": (size[0], 1) if is_vector else size,
+        "shards": size if in_shards else None,
         "chunk_key_encoding": {"name": "default", "separator": CHUNK_SEPARATOR},
-        "filters": [*filters, Delta(dtype=np.dtype(encoding.stored).str)] if delta else filters,
+        "filters": [Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
         "compressors": [BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         "fill_value": encoding.fill,
         "attributes": {**item.attributes, **encoding.attributes()},
@@ -444,29 +453,62 @@ class ChunkWriter:
         IntegrityError
             When what is read back is not what was written.
         """
+        if values.size:
+            flat = self._flat(values)
+            self._put(place, self._pack(flat), [flat])
+
+    def write_shard(self, place: tuple[int, ...], parts: Sequence[Array]) -> None:
+        """Write chunks of one shape as one file, a shard; of no values none.
+
+        Parameters
+        ----------
+        place : tuple of int
+            Of the shard in the grid of shards.
+        parts : sequence of ndarray
+            Its chunks, side by side along the last axis.
+
+        Raises
+        ------
+        OSError, IntegrityError
+            As `write`.
+        """
+        if parts[0].size:
+            flats = [self._flat(part) for part in parts]
+            self._put(place, join_shard([self._pack(flat) for flat in flats]), flats)
+
+    def _flat(self, values: Array) -> Array:
+        """Return the values of a chunk in order, or their differences."""
         flat = np.ascontiguousarray(values).ravel()
-        if not flat.size:
-            return
-        if self.delta:
-            plain, flat = flat, np.empty_like(flat)
-            flat[0] = plain[0]
-            np.subtract(plain[1:], plain[:-1], out=flat[1:])
-        path = self.folder / chunk_key(place, CHUNK_SEPARATOR)
-        packed = numcodecs.blosc.compress(
-            flat,
-            self.compressor.encode(),
-            COMPRESSION_LEVEL,
-            numcodecs.blosc.SHUFFLE,
-            numcodecs.blosc.AUTOBLOCKS,
-            typesize=flat.itemsize,
+        if not self.delta:
+            return flat
+        differences = np.empty_like(flat)
+        differences[0] = flat[0]
+        np.subtract(flat[1:], flat[:-1], out=differences[1:])
+        return differences
+
+    def _pack(self, flat: Array) -> bytes:
+        return bytes(
+            numcodecs.blosc.compress(
+                flat,
+                self.compressor.encode(),
+                COMPRESSION_LEVEL,
+                numcodecs.blosc.SHUFFLE,
+                numcodecs.blosc.AUTOBLOCKS,
+                typesize=flat.itemsize,
+            )
         )
-        path.write_bytes(packed)
+
+    def _put(self, place: tuple[int, ...], content: bytes, flats: Sequence[Array]) -> None:
+        """Write a file, read it back and compare what is in it."""
+        path = self.folder / chunk_key(place, CHUNK_SEPARATOR)
+        path.write_bytes(content)
         there = path.read_bytes()
         try:
-            found = numcodecs.blosc.decompress(there)
+            packed = [there] if len(flats) == 1 else split_shard(there, len(flats))
+            found = [numcodecs.blosc.decompress(one) for one in packed]
         except (RuntimeError, ValueError):
-            found = None
-        if found != flat.tobytes():
+            found = []
+        if len(found) != len(flats) or any(a != b.tobytes() for a, b in zip(found, flats, strict=True)):
             raise IntegrityError(
                 "a chunk reads back differently from what was written",
                 file=os.fspath(path),

@@ -1,10 +1,11 @@
 """Reading stores: one decoder for the eager, the lazy and the verifying way.
 
-A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (of
-a small one of what is made again several are), so a day is read without an event loop, and a chunk that is
-missing is an error here, where Zarr would give fill. Every chunk is compared with the manifest as it is read:
-of flipped bits a third decode to other numbers without an error, and the check costs half a millisecond a
-day.
+A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (in what is
+made again all days of a small one are; a vector has one a component, together in a shard, or in files of
+their own in portable stores and those of layout 1), so a day is read without an event loop, and a chunk that
+is missing is an error here, where Zarr would give fill. Every file is compared with the manifest as it is
+read: of flipped bits a third decode to other numbers without an error, and the check costs half a
+millisecond a day.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.catalog.encoding import Encoding
-from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUTS, chunk_key
+from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUTS, chunk_key, split_shard
 from inflight.catalog.manifest import stated_hashes
 from inflight.errors import CatalogError, IntegrityError
 
@@ -35,19 +36,12 @@ Array = npt.NDArray[Any]
 #: The way back from a damaged store.
 REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'inflight reprocess' make it again"
 
-#: What is done with the values of a chunk, one after the other.
-_CODECS: Final = [
-    [*turned, *differences, "bytes", "blosc"]
-    for turned in ([], ["transpose"])
-    for differences in ([], ["numcodecs.delta"])
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class StoredVariable:
-    """One array of a store; `shape`, `chunks` and what separates the names of chunks are those on disk.
+    """One array of a store; `shape`, `chunks` and what separates the parts of their names are those on disk.
 
-    A chunk that is `transposed` has the values of a component one after another.
+    A file holds so many chunks side by side, `in_file`: more than one are a shard.
     """
 
     name: str
@@ -57,7 +51,7 @@ class StoredVariable:
     attributes: dict[str, Any]
     encoding: Encoding
     delta: bool
-    transposed: bool
+    in_file: int
     separator: str
 
     def decoded_dtype(self) -> np.dtype[Any]:
@@ -102,17 +96,20 @@ class Store:
         variable = self.variables[name]
         if stop - start > self.chunk - start % self.chunk:
             raise CatalogError(f"rows {start} to {stop} are not in one day of {self.folder}")
-        if 0 in variable.shape:
+        if start == stop or 0 in variable.shape:
             # Nothing is stored of it, such as the estimate of days that tell nothing.
             return _no_values(variable, (stop - start, *variable.shape[1:]))
+        # A small array has several days in one chunk.
+        index, offset = divmod(start, variable.chunks[0])
         grid = [
             range(-(-size // chunk))
             for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
         ]
-        # A small array has several days in one chunk.
-        index, offset = divmod(start, variable.chunks[0])
+        if variable.in_file > 1:
+            grid = [range(1)]
+        places = itertools.product(*grid)
         day = self.days[start // self.chunk]
-        parts = [self._chunk(variable, (index, *place), day) for place in itertools.product(*grid)]
+        parts = [one for place in places for one in self._chunks(variable, (index, *place), day)]
         block = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
         return variable.encoding.decode(block[offset : offset + stop - start])
 
@@ -122,7 +119,8 @@ class Store:
         if 0 in variable.shape:
             # Nothing is stored of it, such as the units of a table that knows none.
             return _no_values(variable, variable.shape)
-        values = variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
+        (chunk,) = self._chunks(variable, (0,) * len(variable.shape))
+        values = variable.encoding.decode(chunk)
         # A single number is stored as one value.
         return values if variable.dims else values.reshape(())
 
@@ -148,15 +146,17 @@ class Store:
         own = self.variable_attributes.get(name)
         return {**self.variables[name].attributes, **(own[index] if own else {})}
 
-    def _chunk(self, variable: StoredVariable, place: tuple[int, ...], day: str = "") -> Array:
+    def _chunks(self, variable: StoredVariable, place: tuple[int, ...], day: str = "") -> list[Array]:
+        """Return the chunks of the file at a place, as they are stored."""
         name = f"{variable.name}/{chunk_key(place, variable.separator)}"
         try:
-            packed = (self.folder / name).read_bytes()
-            if hashlib.sha256(packed).hexdigest() != self.hashes.get(name):
+            content = (self.folder / name).read_bytes()
+            if hashlib.sha256(content).hexdigest() != self.hashes.get(name):
                 raise ValueError("its content is not what was written")
-            raw = numcodecs.blosc.decompress(packed)
-            flat = np.frombuffer(raw, dtype=np.dtype(variable.encoding.stored).newbyteorder("<"))
-            block = flat.reshape(variable.chunks[::-1] if variable.transposed else variable.chunks)
+            packed = split_shard(content, variable.in_file) if variable.in_file > 1 else [content]
+            dtype = np.dtype(variable.encoding.stored).newbyteorder("<")
+            flats = [np.frombuffer(numcodecs.blosc.decompress(one), dtype) for one in packed]
+            blocks = [flat.reshape(variable.chunks) for flat in flats]
         except (OSError, RuntimeError, ValueError) as error:
             raise IntegrityError(
                 f"chunk cannot be read: {error}",
@@ -166,8 +166,9 @@ class Store:
                 remedy=REMEDY,
             ) from error
         if variable.delta:
-            block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(block.shape)
-        return np.ascontiguousarray(block.T) if variable.transposed else block
+            sums = (np.cumsum(block, axis=None, dtype=block.dtype) for block in blocks)
+            blocks = [one.reshape(variable.chunks) for one in sums]
+        return blocks
 
 
 def _no_values(variable: StoredVariable, shape: tuple[int, ...]) -> Array:
@@ -227,17 +228,23 @@ def _cannot_open(folder: str, error: Exception) -> IntegrityError:
 def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
     attributes = dict(metadata["attributes"])
     encoding = Encoding.from_attributes(attributes, metadata["data_type"])
-    codecs = [codec["name"] for codec in metadata["codecs"]]
-    if codecs not in _CODECS:
-        raise IntegrityError(f"variable '{name}' has codecs {codecs}, which this version does not write")
+    chunks, codecs = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]), metadata["codecs"]
+    in_file = 1
+    if codecs[0]["name"] == "sharding_indexed":
+        shard, inner = chunks, codecs[0]["configuration"]
+        chunks, codecs = tuple(inner["chunk_shape"]), inner["codecs"]
+        in_file = shard[-1] // chunks[-1]
+    names = [codec["name"] for codec in codecs]
+    if names[-1] != "blosc" or names[:-1] not in (["bytes"], ["numcodecs.delta", "bytes"]):
+        raise IntegrityError(f"variable '{name}' has codecs {names}, which this version does not write")
     return StoredVariable(
         name=name,
         dims=tuple(metadata.get("dimension_names") or ()),
         shape=tuple(metadata["shape"]),
-        chunks=tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]),
+        chunks=chunks,
         attributes=attributes,
         encoding=encoding,
-        delta="numcodecs.delta" in codecs,
-        transposed="transpose" in codecs,
+        delta="numcodecs.delta" in names,
+        in_file=in_file,
         separator=metadata["chunk_key_encoding"]["configuration"]["separator"],
     )

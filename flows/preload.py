@@ -30,5 +30,5 @@ finally:
     # What is imported stays: nor does it touch, and so copy, memory that the processes share.
     gc.freeze()
     gc.enable()
-    # As the command line does (`inflight.cli.app`): what tasks make lives until they end.
+    # As the command line does (`inflight.cli.app`): what a task makes lives until the task ends.
     gc.set_threshold(50_000)

@@ -57,7 +57,7 @@ def figure_parts(plot: Model, place: str) -> dict[str, str]:
     As `bokeh.embed.components`, without the checks that are for who writes Bokeh applications.
     """
     document = Document()
-    # The figure stays outside of it: it would look for what belongs to it, which the serializer meets anyway.
+    # The figure is not added: the document would look for all its models, which the serializer meets anyway.
     serializer = _FigureSerializer(deferred=False)
     fields = {
         "version": bokeh_version,

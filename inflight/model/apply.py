@@ -480,13 +480,13 @@ class _FewSamples:
         return tuple(None if row is None else self._drawn(row) for row in rows)
 
     def _drawn(self, row: Floats) -> Floats:
-        """Return straight lines between the values at few samples, at all; level behind the last of them."""
+        """Return the values at all samples: straight lines between the few, level behind the last of them."""
         slope = np.append(np.diff(row) / self._between, 0.0)
         every = self._behind.size
         return np.asarray(self._every(slope, every) * self._behind + self._every(row, every))
 
     def _every(self, values: npt.NDArray[Any], size: int) -> npt.NDArray[Any]:
-        """Return for each of all samples the value of the last of the few before it."""
+        """Return for each of all samples the value of the last of the few at or before it."""
         return values.repeat(self._step)[:size]
 
     def _corrected(self, effects: Effects) -> Floats:

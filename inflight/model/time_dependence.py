@@ -417,8 +417,7 @@ class TimedValue:
             counts = np.diff(begins, append=t.size)
             index = self._interval(table, t[begins + counts - 1])
             if np.all(self._holds(table, index, t[begins + counts - 1])):
-                rows = zip(self._values_in(table, index), counts, strict=True)
-                return np.concatenate([np.broadcast_to(row, (count, row.size)) for row, count in rows])
+                return np.repeat(self._values_in(table, index), counts, axis=0)
         index = self._interval(table, t)
         inside = self._holds(table, index, t)
         if not np.all(inside):
