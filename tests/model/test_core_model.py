@@ -138,6 +138,25 @@ def test_a_bound_table_gives_each_sample_the_value_of_its_interval():
     assert np.allclose(raw["vector"].values - samples["vector"].values, offset, rtol=0, atol=1e-10)
 
 
+def test_stamps_in_any_order_have_the_values_that_each_has_alone():
+    first = int(true_samples(0)["tt2000"].values[0])
+    effect = (
+        Model.parse(BLOCK, MISSION)
+        .bind(table([first, first + DAY, first + 3 * DAY], [5.0, -7.0, 2.0]))
+        .effects[0]
+    )
+    random = np.random.default_rng(5)
+    stamps = np.sort(first + random.integers(0, 2 * DAY, 50))
+    stamps[7] = stamps[8]
+    alone = np.array([effect.values(one)["offset"] for one in stamps])
+    order = random.permutation(50)
+    for some in (slice(None), order, slice(0, 0), slice(3, 4), np.flatnonzero(stamps < first + DAY)):
+        found = np.broadcast_to(effect.values(stamps[some])["offset"], alone[some].shape)
+        np.testing.assert_array_equal(found, alone[some])
+    with pytest.raises(ModelError, match="not valid at"):
+        effect.values(np.append(stamps, first + np.array([2, 3]) * DAY))
+
+
 @pytest.mark.parametrize("shift", [-2 * DAY, DAY, 3600 * 10**9])
 def test_a_table_is_not_used_outside_its_validity(shift):
     samples = true_samples(0)
