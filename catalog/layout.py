@@ -1,4 +1,4 @@
-"""The days of one segment, checked and laid out: which variables, which rows, which encodings."""
+"""The days of one segment, checked and laid out: variables, rows and encodings, and the names of files."""
 
 from __future__ import annotations
 

@@ -101,7 +101,8 @@ def write_segment(
         Dataset, such as ``l1/fgm``.
     days : sequence of DayData
     portable : bool
-        Leave out the delta filter, which the Zarr v3 specification does not know.
+        Leave out the delta filter, which the Zarr v3 specification does not know, and shards, which not every
+        reader does.
     quick : bool
         What is made again from the archive any time: packed quickly rather than well, and all days of a small
         array in one chunk, so that it takes few files.
@@ -243,7 +244,7 @@ def clear_unfinished(workspace: Path, run_id: str, folders: Iterable[Path] | Non
 
 
 class _Packing(NamedTuple):
-    """How the chunks of a store are packed: without the delta filter, and quickly."""
+    """How the chunks of a store are packed: see `write_segment`."""
 
     portable: bool
     quick: bool = False
@@ -338,7 +339,6 @@ def _write_array(
     if packing.quick and item.in_rows and sum(block.nbytes for block in blocks) <= SMALL_ARRAY:
         blocks = [np.concatenate(blocks)]
     delta = encoding.delta and not packing.portable
-    # A portable store has no shards either: not every reader knows them.
     in_shards = is_vector and not packing.portable
     (begun.folder / item.name).mkdir()
     writer = ChunkWriter(begun.folder / item.name, delta, packing.compressor, begun.hashes)

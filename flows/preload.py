@@ -8,6 +8,8 @@ import gc
 from importlib import import_module
 from typing import Final
 
+from inflight.threads import OBJECTS_TO_COLLECT
+
 _IMPORTED: Final = (
     "dask.array",
     "distributed",
@@ -30,5 +32,4 @@ finally:
     # What is imported stays: nor does it touch, and so copy, memory that the processes share.
     gc.freeze()
     gc.enable()
-    # As the command line does (`inflight.cli.app`): what a task makes lives until the task ends.
-    gc.set_threshold(50_000)
+    gc.set_threshold(OBJECTS_TO_COLLECT)

@@ -1,4 +1,4 @@
-"""How many threads a product of matrices takes: one.
+"""How a process spares its processor: one thread for a product of matrices, few looks for dead cycles.
 
 The matrices of a day are small, and work is spread over days: more threads would wait for each other (the fit
 of 300 days took seven times the processor time with two), and the last digits of a sum would depend on the
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 #: What tells the libraries that multiply matrices so, when set before they are loaded.
 ONE_THREAD_VARIABLES = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+#: New objects after which Python looks for dead cycles. Its own 700 cost a tenth of a command's time: imports
+#: and figures make objects by the hundred thousand, hardly any of which die.
+OBJECTS_TO_COLLECT = 50_000
 
 
 @contextmanager

@@ -14,11 +14,7 @@ import typer
 from inflight import __version__
 from inflight.cli import catalog, contexts, diagnose, figures, models, processing, results, start
 from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, WorkspaceOption, verb
-from inflight.threads import ONE_THREAD_VARIABLES
-
-#: New objects after which Python looks for dead cycles. Its own 700 cost a tenth of a command's time: imports
-#: and figures make objects by the hundred thousand, hardly any of which die.
-_OBJECTS_TO_COLLECT = 50_000
+from inflight.threads import OBJECTS_TO_COLLECT, ONE_THREAD_VARIABLES
 
 #: Verbs by what a person wants, in the order that ``--help`` shows them, each with examples.
 VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
@@ -117,7 +113,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments : list of str, optional
         What follows ``inflight``; the process's own when absent.
     """
-    gc.set_threshold(_OBJECTS_TO_COLLECT)
+    gc.set_threshold(OBJECTS_TO_COLLECT)
     # Numpy reads these once, when it is imported: no verb imports it before. Who sets one has it so.
     for name, threads in ONE_THREAD_VARIABLES.items():
         os.environ.setdefault(name, threads)
