@@ -33,16 +33,20 @@ from inflight.progress import Progress
 from inflight.tasks import CoverageDay, ModelHistory, RunProgress, coverage_days, run_log, runs_progress
 from inflight.tasks.analysis import (
     DiagnoseSettings,
+    Examined,
     Workbench,
+    diagnose_if_unchanged,
     diagnose_span,
     diagnosis_sections,
     examine,
     last_diagnosis,
     measure_comparison,
     open_workbench,
+    page_of_diagnosis,
+    report_if_unchanged,
     require_sampled,
+    write_report,
 )
-from inflight.tasks.analysis import report as write_report
 from inflight.tasks.pipelines import (
     CompareResult,
     ReprocessSettings,
@@ -121,6 +125,7 @@ class ExplorerSession:
         self.begun: list[tuple[InOwnProcess, BackgroundJob]] = []
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+        self._searched: tuple[Mapping[str, Any], Examined] | None = None
         self._read: dict[str, tuple[Any, ...]] = {}
         self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
@@ -335,25 +340,37 @@ class ExplorerSession:
             As `inflight.tasks.analysis.revise.diagnose_span`.
         """
         settings, span = _settings(self._last_request(comparison), comparison), days.bounds()
-        self._bench = None
+        self._bench = self._searched = None
         with lazy_client(self.workers) as client:
-            found = diagnose_span(self.workspace, *span, settings, client=client, progress=progress)
+            how: Any = {"client": client, "progress": progress, "finished": self._keep_search}
+            found = diagnose_span(self.workspace, *span, settings, **how)
         return found | {"asked": {"start": span[0], "end": span[1], "settings": settings.model_dump()}}
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
+        return diagnosis_sections(*self._last_search(comparison, progress), progress)
+
+    def _last_search(self, comparison: str, progress: Progress) -> Examined:
+        """Return the search of the last diagnosis for the model in use; done anew unless it was done here."""
         request = self._last_request(comparison)
+        span, settings = (request.get("start"), request.get("end")), _settings(request, comparison)
+        kept = self._searched
+        if kept is not None and kept[0] == request and self._is_unchanged(span, settings):
+            return kept[1]
         with lazy_client(self.workers) as client:
-            examined = examine(
-                self.cat,
-                self.mission(),
-                request.get("start"),
-                request.get("end"),
-                _settings(request, comparison),
-                client=client,
-                progress=progress,
-            )
-        return diagnosis_sections(*examined, progress)
+            mission = self.mission()
+            found = examine(self.cat, mission, *span, settings, client=client, progress=progress)
+        if self._is_unchanged(span, settings):
+            self._keep_search(found)
+        return found
+
+    def _is_unchanged(self, span: tuple[str | None, str | None], settings: DiagnoseSettings) -> bool:
+        """Return True when a diagnosis would find what the last one found."""
+        return diagnose_if_unchanged(self.workspace, *span, settings) is not None
+
+    def _keep_search(self, found: Examined) -> None:
+        """Keep the search of the last diagnosis; it is some hundred megabytes."""
+        self._searched = self._last_request(found.settings.comparison), found
 
     def write_report(self, comparison: str, progress: Progress) -> Path:
         """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.
@@ -366,10 +383,10 @@ class ExplorerSession:
         mission, last = self.mission(), self._last_request(comparison)
         require_sampled(mission, comparison)
         span = last.get("start"), last.get("end")
-        page = self.workspace.reports / f"{'-'.join(['report', comparison, *filter(None, span)])}.html"
-        settings = _settings(last, comparison)
-        with lazy_client(self.workers) as client:
-            write_report(self.cat, mission, page, *span, settings, client=client, progress=progress)
+        page = page_of_diagnosis(self.workspace, comparison, *span)
+        if report_if_unchanged(self.workspace, page, *span, _settings(last, comparison)) is None:
+            found = self._last_search(comparison, progress)
+            write_report(self.workspace, page, found, *span, progress)
         return page
 
     def model_file(self, comparison: str) -> tuple[str, str]:
@@ -574,7 +591,8 @@ class ExplorerSession:
         """Return the cached workbench, or a new one when mission, model or last diagnosis changed since."""
         key = self._workbench_key(comparison)
         if self._bench is None or self._bench[0] != key:
-            self._bench = None
+            # Its Gram blocks and those of a search are not held together.
+            self._bench = self._searched = None
             opened = open_workbench(self.workspace, comparison, client=client, progress=progress)
             self._bench = (key, opened)
         bench = self._bench[1]

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -141,6 +142,7 @@ def diagnose(
     settings: DiagnoseSettings = DIAGNOSE_SETTINGS,
     save: bool = False,
     search: bool = False,
+    page: bool = True,
     workers: int | None = None,
 ) -> dict[str, Any]:
     """Find which effect is missing from the model; days that were read before cost nothing.
@@ -151,10 +153,12 @@ def diagnose(
         Save a version of the model for every effect that was found.
     search : bool
         Search though the last verdict may stand for the days since.
+    page : bool
+        Write the page of what a search found, too: without the search it takes a tenth of the time.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with lazy_client(workers) as client:
-        return _diagnose_span(place, span, settings, client, save=save, search=search)
+        return _diagnose_span(place, span, settings, client, save=save, search=search, page=page)
 
 
 def update(
@@ -298,6 +302,7 @@ def _diagnose_if_idle(
     settings: DiagnoseSettings = DIAGNOSE_SETTINGS,
     save: bool = False,
     search: bool = False,
+    page: bool = True,
     workers: int | None = None,
 ) -> RunReport | None:
     """Return the last diagnosis while nothing has changed; raise what a span without days would."""
@@ -305,7 +310,7 @@ def _diagnose_if_idle(
     from inflight.tasks.analysis import diagnose_if_unchanged
     from inflight.tasks.archive import ArchiveIndex, needs_of, require_days
 
-    del workers
+    del page, workers
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     cat, mission = Catalog(place.root), place.mission()
     needs = needs_of(mission, current_model(cat, mission, settings.comparison).model)
@@ -411,14 +416,26 @@ def _diagnose_span(
     *,
     save: bool = False,
     search: bool = False,
+    page: bool = False,
 ) -> dict[str, Any]:
-    from inflight.tasks.analysis import diagnose_span
+    from inflight.tasks.analysis import Examined, diagnose_span, page_of_diagnosis, write_report
+
+    asked, progress, searched = span.as_text(), runner().progress, list[Examined]()
 
     def find(client: Client) -> dict[str, Any]:
-        how: Any = {"save": save, "search": search, "client": client, "progress": runner().progress}
-        return diagnose_span(place, *span.as_text(), settings, **how)
+        how: Any = {"save": save, "search": search, "client": client, "progress": progress}
+        return diagnose_span(place, *asked, settings, finished=searched.append if page else None, **how)
 
-    return runner().run("search", find, client)
+    def draw() -> None:
+        # The verdict is kept and told where no page can be written, too.
+        with suppress(OSError):
+            output = page_of_diagnosis(place, settings.comparison, *asked)
+            write_report(place, output, searched[-1], *asked, progress)
+
+    found = runner().run("search", find, client)
+    if searched:
+        runner().run("page", draw)
+    return found
 
 
 def _with_diagnosis(

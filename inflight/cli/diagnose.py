@@ -100,13 +100,16 @@ def diagnose(
     search: Annotated[
         bool, typer.Option("--search", help="Search anew, though the last verdict may stand for later days.")
     ] = False,
+    page: Annotated[
+        bool, typer.Option("--page/--no-page", help="Write the page that 'inflight report' opens, too.")
+    ] = True,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
 ) -> None:
     """Find which physical effect is missing from the model."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    how = {"search": True} if search else {}
+    how = {"search": search, "page": page}
     _search(command, options, how, save=False, workers=workers, prefect=not no_prefect, details=details)
 
 

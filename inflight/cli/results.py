@@ -364,13 +364,19 @@ def report(
 ) -> None:
     """Show on one page what is missing from the model: where it fails, which effect, how the error falls.
 
-    Without a span it is that of the last 'inflight diagnose'; what was measured is not read again.
+    Without a span it is that of the last 'inflight diagnose', whose page is there unless something changed;
+    what was measured is not read again.
     """
     workspace = command.open_workspace()
     mission = workspace.mission()
-    from inflight.flows import DaySpan, lazy_client
-    from inflight.tasks.analysis import DiagnoseSettings, last_diagnosis, require_sampled
-    from inflight.tasks.analysis import report as write_report
+    from inflight.flows import DaySpan
+    from inflight.tasks.analysis import (
+        DiagnoseSettings,
+        last_diagnosis,
+        page_of_diagnosis,
+        report_if_unchanged,
+        require_sampled,
+    )
 
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
     span = DaySpan.model_validate({"start": start, "end": end}).as_text()
@@ -379,11 +385,15 @@ def report(
     settings = DiagnoseSettings.model_validate(last.get("settings") or {"comparison": name})
     if not any(span):
         span = last.get("start"), last.get("end")
-    page = _page_path(output or workspace.reports / "-".join(["report", name, *filter(None, span)]))
-    with command.progress() as progress, lazy_client(workers) as client:
-        written = write_report(
-            command.open_catalog(), mission, page, *span, settings, client=client, progress=progress
-        )
+    page = _page_path(output or page_of_diagnosis(workspace, name, *span))
+    written = report_if_unchanged(workspace, page, *span, settings)
+    if written is None:
+        from inflight.flows import lazy_client
+        from inflight.tasks.analysis import report as diagnose_and_report
+
+        with command.progress() as progress, lazy_client(workers) as client:
+            how: Any = {"client": client, "progress": progress}
+            written = diagnose_and_report(command.open_catalog(), mission, page, *span, settings, **how)
     fields = written.as_json()
 
     def show_report(console: Console) -> None:

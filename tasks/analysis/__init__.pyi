@@ -1,9 +1,15 @@
 from .comparing import compare, measure_comparison
-from .diagnosis import diagnose, examine
-from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
+from .diagnosis import Examined, diagnose, examine
+from .diagnosis_page import diagnosis_sections, report, write_report
 from .gram_pass import block_grams
 from .kept_comparison import compare_if_unchanged
-from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
+from .kept_diagnosis import (
+    DiagnosisReport,
+    diagnose_if_unchanged,
+    last_diagnosis,
+    page_of_diagnosis,
+    report_if_unchanged,
+)
 from .plumbing import check_plumbing
 from .revise import Revision, Workbench, diagnose_span, open_workbench, require_change
 from .settings import DiagnoseSettings, require_sampled, sampled_comparisons
@@ -11,6 +17,7 @@ from .settings import DiagnoseSettings, require_sampled, sampled_comparisons
 __all__ = [
     "DiagnoseSettings",
     "DiagnosisReport",
+    "Examined",
     "Revision",
     "Workbench",
     "block_grams",
@@ -25,8 +32,11 @@ __all__ = [
     "last_diagnosis",
     "measure_comparison",
     "open_workbench",
+    "page_of_diagnosis",
     "report",
+    "report_if_unchanged",
     "require_change",
     "require_sampled",
     "sampled_comparisons",
+    "write_report",
 ]

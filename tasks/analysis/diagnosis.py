@@ -145,15 +145,28 @@ def examine(
     with faults_in_errors(faults):
         made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
-    facts = {"evidence key": made.plan.key, "days that failed": len(made.failed) or None}
+    facts = facts_of(made, spacecraft_units_of(cat, mission, settings.comparison, start, end))
     native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
     found, search = search_on_one_thread(search, data, native, report_progress)
-    units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
-    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
     trend = trend_of_products(cat, settings.comparison, data.model.version, start, end)
     return Examined(search, data, found.after_plumbing(faults).with_products(trend), settings, facts)
+
+
+def facts_of(made: PassResult, units: Sequence[Mapping[str, Any]] | None) -> dict[str, Any]:
+    """Return further lines of a page's ledger.
+
+    Parameters
+    ----------
+    units : sequence of mapping, optional
+        Of `spacecraft_units_of`.
+    """
+    return {
+        "evidence key": made.plan.key,
+        "days that failed": len(made.failed) or None,
+        "units that switch": "; ".join(one["sentence"] for one in units) if units else None,
+    }
 
 
 def make_pass(

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from inflight import __version__
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import (
     BeforeAfter,
     Diagnosis,
@@ -76,7 +75,8 @@ from inflight.figures import (
 from inflight.mission import Mission
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import drawn_periods, fold_by_period, format_period
-from inflight.tasks.analysis.diagnosis import examine
+from inflight.tasks.analysis.diagnosis import Examined, examine
+from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, keep_page
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.report import write_page
 from inflight.time import SECOND, DayLike, to_utc
@@ -303,26 +303,6 @@ def imitations(search: Search, found: Diagnosis) -> Section:
     return "What stands for what", text, [cross_talk_figure(talk)]
 
 
-@dataclass(frozen=True)
-class DiagnosisReport:
-    """A diagnosis and the page that shows it."""
-
-    diagnosis: Diagnosis
-    path: Path
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the fields of the command line's JSON."""
-        fields = self.diagnosis.as_json()
-        names = ["run", "context", "comparison", "model", "blocks", "verdict", "sentence", "entries"]
-        names += ["residual", "remaining"]
-        effects = [{"name": one["name"], "family": one["family"]} for one in fields["effects"]]
-        return (
-            {"command": "report", "path": str(self.path)}
-            | {name: fields[name] for name in names}
-            | {"effects": effects}
-        )
-
-
 def report(
     cat: Catalog,
     mission: Mission,
@@ -335,6 +315,8 @@ def report(
     progress: Progress | None = None,
 ) -> DiagnosisReport:
     """Diagnose a span and write the page of it; Gram blocks that are there already are not made again.
+
+    Where that is the last diagnosis of the workspace, the page is kept: `report_if_unchanged` returns it.
 
     Parameters
     ----------
@@ -353,8 +335,34 @@ def report(
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    write_page(output, diagnosis_page(*examined, progress or silent))
-    return DiagnosisReport(examined.found, output)
+    first, last = (None if one is None else str(one) for one in (start, end))
+    return write_report(Workspace.open(cat.workspace), output, examined, first, last, progress or silent)
+
+
+def write_report(
+    workspace: Workspace,
+    output: Path,
+    examined: Examined,
+    start: str | None,
+    end: str | None,
+    progress: Progress = silent,
+) -> DiagnosisReport:
+    """Write the page of a finished search, and keep it where that is the last diagnosis of the workspace.
+
+    Parameters
+    ----------
+    start, end : str, optional
+        Of the span that was searched, as it was asked for.
+
+    Raises
+    ------
+    OSError
+        When there is no place for the page.
+    """
+    page = diagnosis_page(*examined, progress)
+    write_page(output, page)
+    keep_page(workspace, output, page, start, end, examined.settings)
+    return DiagnosisReport(examined.found.as_json(), output)
 
 
 def diagnosis_page(

@@ -10,12 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-from pydantic import BaseModel
 
 from inflight.catalog import Catalog
 from inflight.errors import InflightError
@@ -23,7 +20,7 @@ from inflight.mission import Mission
 from inflight.tasks.analysis.kept_diagnosis import hash_of_software, hashes_of_companions
 from inflight.tasks.pipelines import Report, pipeline_of
 from inflight.tasks.pipelines.base import TextLine
-from inflight.tasks.report import to_json, write_page
+from inflight.tasks.report import KeptPage, to_json
 from inflight.time import DayLike
 
 #: What a comparison is computed and drawn by, beside the package of its pipeline.
@@ -54,12 +51,9 @@ _SOFTWARE = (
 _NOT_READ = re.compile(r"comparison/.*|equations/.*/(library|own|native)")
 
 
-class _Kept(BaseModel):
+class _Kept(KeptPage):
     """What is kept of a comparison; `summary` has text and style of each line a person reads."""
 
-    made_from: str
-    page: Path
-    page_sha256: str
     report: dict[str, Any]
     summary: list[tuple[str, str]]
 
@@ -105,17 +99,10 @@ def compare_if_unchanged(
     """
     if output is None:
         return None
-    try:
-        kept = _Kept.model_validate_json(_path(cat, comparison).read_bytes())
-        page = kept.page.read_bytes()
-    except (OSError, ValueError):
+    kept = _Kept.read(_path(cat, comparison))
+    if kept is None or kept.made_from != comparison_made_from(cat, mission, start, end, comparison, against):
         return None
-    if hashlib.sha256(page).hexdigest() != kept.page_sha256:
-        return None
-    if kept.made_from != comparison_made_from(cat, mission, start, end, comparison, against):
-        return None
-    if output.resolve() != kept.page:
-        write_page(output, page.decode("utf-8"))
+    kept.copy_to(output)
     return KeptComparison(kept.report, [TextLine(*line) for line in kept.summary], output)
 
 
@@ -131,16 +118,10 @@ def keep_comparison(cat: Catalog, report: Report, page: str, comparison: str, ma
     """
     if report.path is None or not made_from:
         return
-    # A path that is no UTF-8 cannot be kept.
-    with suppress(OSError, ValueError):
-        kept = _Kept(
-            made_from=made_from,
-            page=report.path.resolve(),
-            page_sha256=hashlib.sha256(page.encode("utf-8")).hexdigest(),
-            report=json.loads(to_json(report.as_json())),
-            summary=[tuple(line) for line in report.summary()],
-        )
-        write_page(_path(cat, comparison), kept.model_dump_json())
+    fields = json.loads(to_json(report.as_json()))
+    lines = [tuple(line) for line in report.summary()]
+    kept = _Kept.of(report.path, page, made_from, report=fields, summary=lines)
+    kept.save(_path(cat, comparison))
 
 
 def comparison_made_from(

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,9 +24,10 @@ from inflight.mission import Mission
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.archive import ArchiveIndex, channel_needs, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.report import to_json, write_page
+from inflight.tasks.report import KeptPage, to_json, write_page
 
-#: What a diagnosis is computed by.
+#: What a diagnosis is computed by, and what draws its page beside.
+_DRAWN_BY = ("inflight.figures", "inflight.tasks")
 _SOFTWARE = (
     "inflight.calibration",
     "inflight.design",
@@ -86,6 +88,90 @@ def diagnose_if_unchanged(
     return {**found, "unchanged": True}
 
 
+@dataclass(frozen=True)
+class DiagnosisReport:
+    """A diagnosis, the fields of `Diagnosis.as_json`, and the page that shows it."""
+
+    fields: Mapping[str, Any]
+    path: Path
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        names = ["run", "context", "comparison", "model", "blocks", "verdict", "sentence", "entries"]
+        names += ["residual", "remaining"]
+        effects = [{"name": one["name"], "family": one["family"]} for one in self.fields["effects"]]
+        return (
+            {"command": "report", "path": str(self.path)}
+            | {name: self.fields[name] for name in names}
+            | {"effects": effects}
+        )
+
+
+def page_of_diagnosis(workspace: Workspace, comparison: str, start: str | None, end: str | None) -> Path:
+    """Return where the page of a diagnosis lies unless another place is named."""
+    return workspace.reports / f"{'-'.join(['report', comparison, *filter(None, (start, end))])}.html"
+
+
+def keep_page(
+    workspace: Workspace,
+    path: Path,
+    page: str,
+    start: str | None,
+    end: str | None,
+    settings: DiagnoseSettings,
+) -> None:
+    """Keep that a page that was written shows the last diagnosis, where that is what was asked for.
+
+    Parameters
+    ----------
+    path, page : Path, str
+        Where, and its text.
+    start, end, settings
+        As of `diagnose_if_unchanged`.
+    """
+    if diagnose_if_unchanged(workspace, start, end, settings) is None:
+        return
+    asked = (last_diagnosis(workspace, settings.comparison) or {})["asked"]
+    KeptPage.of(path, page, _drawn_from(asked)).save(_kept_page(workspace, settings.comparison))
+
+
+def report_if_unchanged(
+    workspace: Workspace,
+    output: Path,
+    start: str | None,
+    end: str | None,
+    settings: DiagnoseSettings,
+) -> DiagnosisReport | None:
+    """Return the page of the last diagnosis when that is still what `diagnose` would find, else None.
+
+    Parameters
+    ----------
+    output : Path
+        Where the page goes; it is copied when it lies elsewhere.
+    start, end, settings
+        As of `diagnose_if_unchanged`.
+    """
+    kept = KeptPage.read(_kept_page(workspace, settings.comparison))
+    if kept is None:
+        return None
+    found = diagnose_if_unchanged(workspace, start, end, settings)
+    asked = (last_diagnosis(workspace, settings.comparison) or {}).get("asked")
+    if found is None or asked is None or kept.made_from != _drawn_from(asked):
+        return None
+    kept.copy_to(output)
+    return DiagnosisReport(found, output)
+
+
+def _drawn_from(asked: Mapping[str, Any]) -> str:
+    """Return a hash of all that the page of a diagnosis is made from: what was asked, and what draws it."""
+    what = {name: asked.get(name) for name in ("start", "end", "settings", "made_from")}
+    return hashlib.sha256(json.dumps([what, hash_of_software(_DRAWN_BY)]).encode()).hexdigest()
+
+
+def _kept_page(workspace: Workspace, comparison: str) -> Path:
+    return workspace.reports / f"report-{comparison}.json"
+
+
 def asked_alike(
     asked: Mapping[str, Any], start: str | None, end: str | None, settings: DiagnoseSettings
 ) -> bool:
@@ -118,15 +204,24 @@ def made_from(
         Of the days up to this one, and of no tables: a day's calibration makes others.
     """
     used = current_model(cat, mission, settings.comparison)
-    tables = [
-        [one.id, one.key, one.certified]
-        for one in (cat.tables() if through is None else ())
-        if one.name.startswith(settings.comparison)
-    ]
+    tables = _tables_told_of(cat, mission, settings.comparison) if through is None else []
     there = [one for one in archive if through is None or one[1] <= str(through)]
     # Not its version: an undo makes another of an older text.
     parts = [mission.text, used.model.name, used.text, settings.model_dump(), there, tables]
     return hashlib.sha256(json.dumps([*parts, hash_of_software()], default=str).encode()).hexdigest()
+
+
+def _tables_told_of(cat: Catalog, mission: Mission, comparison: str) -> list[list[Any]]:
+    """Return the tables that a diagnosis may say something of: id, key, who certified each.
+
+    Of a scalar comparison the search reads the archive alone, and what is told of products is whether they
+    follow a trend: without a table of all days they do not, whatever the tables of windows are.
+    """
+    known = [one for one in cat.tables() if one.name.startswith(comparison)]
+    has_trend = any(one.name == f"{comparison}-continuous" for one in known)
+    if mission.comparisons[comparison].kind == "scalar" and not has_trend:
+        return []
+    return [[one.id, one.key, one.certified] for one in known]
 
 
 @cache

@@ -11,7 +11,7 @@ the effect's numbers, and which other parameters moved.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
@@ -32,6 +32,7 @@ from inflight.diagnosis import (
     BeforeAfter,
     Column,
     Diagnosis,
+    DiagnosisData,
     FitSetup,
     JointFit,
     Request,
@@ -66,9 +67,11 @@ from inflight.progress import Progress, silent
 from inflight.residual import above_floor
 from inflight.samples import parse_channel
 from inflight.tasks.analysis.diagnosis import (
+    Examined,
     PassResult,
     begin_search,
     diagnosis_data,
+    facts_of,
     intervals_of,
     make_pass,
     native_estimator,
@@ -995,15 +998,24 @@ class Workbench:
 
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its Gram blocks are made when there are none."""
-        found, search = self._searched()
-        model = self._model_found(search)
-        if model is not None:
-            plan, variance = self.made.plan, search.variance
-            self.standing = standing_of(self.cat, self.mission, plan, model, variance, self.settings)
+        found = self.examine().found
         # The next search lets its own columns join: what this one added would only be carried along.
         for grams in (self.made.loaded.raw, self.made.loaded.white):
             grams.forget_later_columns()
         return found
+
+    def examine(self) -> Examined:
+        """Search as `diagnose`, and return with the result what it was made from."""
+        found, search, data = self._searched()
+        model = self._model_found(search)
+        if model is not None:
+            plan, variance = self.made.plan, search.variance
+            self.standing = standing_of(self.cat, self.mission, plan, model, variance, self.settings)
+        return Examined(search, data, found, self.settings, facts_of(self.made, self.units()))
+
+    def units(self) -> list[dict[str, Any]] | None:
+        """Return the units of the spacecraft that switch; None where no states are learnt."""
+        return spacecraft_units_of(self.cat, self.mission, self.settings.comparison, self.start, self.end)
 
     def _model_found(self, search: Search) -> Model | None:
         """Return the model with all that a search took, fitted; None where no entries of a model are that."""
@@ -1024,27 +1036,27 @@ class Workbench:
         fitted = setup.fit(columns, {}, interleaved=any(one.interleaved for one in additions))
         return self._model(setup, additions, [], fitted)
 
-    def _searched(self) -> tuple[Diagnosis, Search]:
+    def _searched(self) -> tuple[Diagnosis, Search, DiagnosisData]:
         if self.root.version != self.current.version or self.additions or self.dropped:
             self._rebase()
         self.__dict__.pop("_whole", None)
         self._restore()
-        context = diagnosis_data(self.made, self.mission)
-        model = replace(context.model, version=self.root.version)
+        data = diagnosis_data(self.made, self.mission)
+        data = replace(data, model=replace(data.model, version=self.root.version))
         listener = self.progress or silent
         native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
         begun = begin_search(self.made, self.settings)
-        found, search = search_on_one_thread(begun, replace(context, model=model), native, listener)
+        found, search = search_on_one_thread(begun, data, native, listener)
         faults = self._plumbing() if self._faults is None else self._faults
         trend = trend_of_products(self.cat, self.settings.comparison, self.root.version, self.start, self.end)
-        return found.after_plumbing(faults).with_products(trend), search
+        return found.after_plumbing(faults).with_products(trend), search, data
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order.
 
         None is saved while the data are known to be wrong: what was found would stand for their faults.
         """
-        found, search = self._searched()
+        found, search, _ = self._searched()
         if any(fault["sure"] for fault in found.plumbing):
             return found, []
         # Lags, widths and products that the search made have their columns in its Gram blocks.
@@ -1160,6 +1172,7 @@ def diagnose_span(
     search: bool = False,
     client: Any = None,
     progress: Progress | None = None,
+    finished: Callable[[Examined], object] | None = None,
 ) -> dict[str, Any]:
     """Diagnose a span, and keep the result in the workspace's reports.
 
@@ -1174,6 +1187,9 @@ def diagnose_span(
         Save one version of the model for every effect that was found, in the order they were taken.
     search : bool
         Search though the last verdict may stand for the days since.
+    finished : callable, optional
+        Called, once the result is kept, with the search and what it was made from; not where there was none,
+        nor when versions are saved.
 
     Returns
     -------
@@ -1200,12 +1216,14 @@ def diagnose_span(
     bench = Workbench(
         Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
     )
+    examined = None
     if save:
         found, steps = bench.auto()
         fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
     else:
-        fields = bench.diagnose().as_json()
-    units = spacecraft_units_of(bench.cat, mission, settings.comparison, start, end)
+        examined = bench.examine()
+        fields = examined.found.as_json()
+    units = bench.units()
     if units is not None:
         fields["units"] = units
     asked: dict[str, Any] = {"start": start, "end": end, "settings": settings.model_dump()}
@@ -1219,6 +1237,8 @@ def diagnose_span(
     if stands is not None:
         fields["later_days"] = stands["later_days"]
     save_diagnosis(workspace, fields, asked)
+    if finished is not None and examined is not None:
+        finished(examined)
     return fields
 
 

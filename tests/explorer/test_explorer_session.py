@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from heated_mission import HEATER_FIELD
 
+import inflight.explorer.session as session_module
 from inflight.catalog import Catalog
 from inflight.errors import CatalogError, ModelError
 from inflight.explorer.diagnosis_view import diagnosis_sections
@@ -97,6 +98,31 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert "stale" not in session.last_diagnosis("main")
     assert session.stale_products("main") == 0
     assert "add channel_field(heater_current)" in ledger(session.versions("main")[0])
+
+
+def test_figures_and_page_of_a_diagnosis_made_here_take_no_second_search(session, workspace, monkeypatch):
+    session.diagnose("main", DAYS, nobody)
+    searched = []
+    own = session_module.examine
+    monkeypatch.setattr(
+        session_module, "examine", lambda *given, **how: searched.append(1) or own(*given, **how)
+    )
+    sections = session.figures_of_diagnosis("main", nobody)
+    assert "What each cause would make" in [heading for heading, _, _ in sections]
+    page = session.write_report("main", nobody)
+    whole = page.read_bytes()
+    assert searched == []
+    # Another session has no search, and the page all the same.
+    other = ExplorerSession(workspace, workers=1)
+    assert other.write_report("main", nobody).read_bytes() == whole
+    assert searched == []
+    # What is held of a workbench takes its place.
+    session.preview("main", EFFECT, nobody)
+    assert [heading for heading, _, _ in session.figures_of_diagnosis("main", nobody)] == [
+        heading for heading, _, _ in sections
+    ]
+    assert searched == [1]
+    other.close()
 
 
 def test_what_is_drawn_in_time_goes_down_to_samples_with_their_flags(session):

@@ -149,9 +149,9 @@ def told(page):
 def test_the_page_tells_the_verdict_without_scripts_and_loads_nothing(made):
     text, loads = told(made.path.read_text(encoding="utf-8"))
     assert loads == []
-    assert HEADING[made.diagnosis.verdict] in text
+    assert HEADING[made.fields["verdict"]] in text
     assert "heater_current" in text
-    for word in made.diagnosis.sentence.split():
+    for word in made.fields["sentence"].split():
         assert word in text
     for heading in (
         "Where it fails",
@@ -167,9 +167,10 @@ def test_the_page_tells_the_verdict_without_scripts_and_loads_nothing(made):
 
 
 def test_the_hidden_heater_is_what_the_page_is_about(made):
-    assert [one.channels for one in made.diagnosis.effects] == [("heater_current",)]
-    (along_z,) = [one for one in made.diagnosis.effects[0].coefficients if one.name.endswith("[z]")]
-    assert abs(along_z.value - HIDDEN) < 4 * along_z.sigma
+    assert [one["channels"] for one in made.fields["effects"]] == [["heater_current"]]
+    coefficients = made.fields["effects"][0]["coefficients"]
+    (along_z,) = [one for one in coefficients if one["name"].endswith("[z]")]
+    assert abs(along_z["value"] - HIDDEN) < 4 * along_z["sigma"]
     fields = made.as_json()
     assert fields["command"] == "report"
     assert fields["path"] == str(made.path)
@@ -295,7 +296,7 @@ def test_a_search_without_rounds_has_a_page(place):
 def test_a_span_of_two_days_has_a_page(place, tmp_path):
     made = report(Catalog(place.root), place.mission(), tmp_path / "two.html", DAYS[0], DAYS[2], SETTINGS)
     text, _ = told(made.path.read_text(encoding="utf-8"))
-    assert HEADING[made.diagnosis.verdict] in text
+    assert HEADING[made.fields["verdict"]] in text
 
 
 def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 from io import StringIO
@@ -24,6 +25,7 @@ from inflight.tasks.analysis import (
     diagnose_span,
     kept_comparison,
     later_days,
+    report_if_unchanged,
     revise,
 )
 from inflight.tasks.archive import ingest_if_unchanged
@@ -185,6 +187,75 @@ def test_what_was_added_and_undone_leaves_verdict_and_products_as_they_are(diagn
     again = reprocess(cat, mission).days
     assert (again["done"], again["unchanged"]) == (1, made - 1)
     assert ModelHistory(cat, mission).stale_contexts(name for _, name in cat.published("l2/field")) == set()
+
+
+def test_products_of_windows_leave_a_verdict_as_it_is_and_a_trend_does_not(diagnosed):
+    workspace, _ = diagnosed
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    assert reprocess(cat, mission).days["done"] == 4
+    assert cat.tables("main-window")
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["unchanged"] is True
+    # It would be told that these follow the drift of the scale factors.
+    assert reprocess(cat, mission, settings=ReprocessSettings(table="continuous")).days["done"] == 4
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+@pytest.fixture
+def drawn(diagnosed):
+    """A workspace diagnosed with its page, and the page as it is asked for again."""
+    workspace, _ = diagnosed
+    run_without_prefect("diagnose", workspace, {"search": True}, workers=1)
+
+    def again(output=workspace.reports / "report-main.html", start=None):
+        return report_if_unchanged(workspace, output, start, None, DiagnoseSettings())
+
+    return workspace, again
+
+
+def test_the_page_of_a_diagnosis_is_written_with_it_and_given_again(drawn, tmp_path):
+    workspace, again = drawn
+    page = workspace.reports / "report-main.html"
+    stamp, told = page.stat().st_mtime_ns, again().as_json()
+    assert page.stat().st_mtime_ns == stamp
+    assert again(tmp_path / "elsewhere" / "page.html").path.read_bytes() == page.read_bytes()
+    # It is what a search for the page alone writes, but for the numbers that a process gives its figures.
+    made = analysis.report(Catalog(workspace.root), workspace.mission(), tmp_path / "anew.html")
+    both = [re.sub(rb'"p\d+"', b'"p"', one.read_bytes()) for one in (made.path, page)]
+    assert both[0] == both[1]
+    assert told == json.loads(to_json(made.as_json() | {"path": str(page)}))
+    # Which is kept, then, as the page of the same diagnosis.
+    page.unlink()
+    assert again().path.read_bytes() == made.path.read_bytes()
+
+
+def test_a_page_that_shows_something_else_is_not_given_again(drawn):
+    workspace, again = drawn
+    page = workspace.reports / "report-main.html"
+    assert again(start="2024-03-02") is None
+    whole = page.read_bytes()
+    page.write_bytes(whole + b"<!-- a note -->")
+    assert again() is None
+    page.write_bytes(whole)
+    assert again() is not None
+    diagnose_span(workspace, "2024-03-02")
+    assert again() is None
+    diagnose_span(workspace)
+    Workbench(Catalog(workspace.root), workspace.mission()).add("channel_field(heater_current)")
+    assert again() is None
+
+
+def test_no_page_is_written_where_none_is_asked_for_or_there_is_no_place(diagnosed, monkeypatch):
+    workspace, found = diagnosed
+    run_without_prefect("diagnose", workspace, {"search": True, "page": False}, workers=1)
+    assert not (workspace.reports / "report-main.html").exists()
+
+    def full(*given):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(analysis.diagnosis_page, "write_page", full)
+    report = run_without_prefect("diagnose", workspace, {"search": True}, workers=1)
+    assert report.extra["verdict"] == found["verdict"]
+    assert not (workspace.reports / "report-main.html").exists()
 
 
 def with_later_day(workspace, hidden, monkeypatch):
