@@ -22,6 +22,9 @@ from inflight.figures.style import (
     COMPONENTS,
     HIGHLIGHT,
     REFERENCE,
+    draw_area,
+    draw_line,
+    draw_points,
     error_band,
     error_bars,
     legend_below,
@@ -61,7 +64,7 @@ def scale_curves_figure(fit: CoilFit, temperatures: Floats) -> figure:
         value = 1e6 * rows @ fit.fit.value
         sigma = 1e6 * np.sqrt(np.einsum("ti,ij,tj->t", rows, fit.fit.covariance, rows))
         error_band(plot, temperatures, value, sigma, colour)
-        plot.line(temperatures, value, color=colour, line_width=2, legend_label=name)
+        draw_line(plot, temperatures, value, color=colour, line_width=2, legend_label=name)
     legend_below(plot)
     return plot
 
@@ -79,7 +82,7 @@ def rivals_figure(choice: TemperatureChoice) -> figure:
         (~tied, HIGHLIGHT, "worse"),
     ):
         if which.any():
-            plot.scatter(place[which], behind[which], color=colour, size=8, legend_label=label)
+            draw_points(plot, place[which], behind[which], color=colour, size=8, legend_label=label)
     plot.xaxis.ticker = place.tolist()
     plot.xaxis.major_label_overrides = {at: one.channel for at, one in enumerate(choice.rivals)}
     legend_below(plot)
@@ -106,11 +109,11 @@ def day_night_figure(found: DayNightField) -> figure:
     )
     phase = np.linspace(-180.0, 180.0, 361)
     value, sigma = found.series(phase)
-    plot.line([-180.0, 180.0], [0.0, 0.0], color=REFERENCE)
+    draw_line(plot, [-180.0, 180.0], [0.0, 0.0], color=REFERENCE)
     for index, axis in enumerate(AXES):
         if any(name.startswith(f"{SERIES}[c{axis}") for name in found.columns):
             error_band(plot, phase, value[:, index], sigma[:, index], COMPONENTS[index])
-            plot.line(phase, value[:, index], color=COMPONENTS[index], line_width=2, legend_label=axis)
+            draw_line(plot, phase, value[:, index], color=COMPONENTS[index], line_width=2, legend_label=axis)
     legend_below(plot)
     return plot
 
@@ -132,7 +135,7 @@ def with_and_without_figure(ignored: xr.Dataset, added: xr.Dataset, parameter: s
         middle = to_utc(table["start"].values // 2 + table["end"].values // 2)
         value = table["value"].sel(parameter=parameter).values
         error_bars(plot, middle, value, table["sigma"].sel(parameter=parameter).values, colour, 0.4)
-        plot.scatter(middle, value, color=colour, size=5, legend_label=label)
+        draw_points(plot, middle, value, color=colour, size=5, legend_label=label)
     legend_below(plot)
     return plot
 
@@ -157,7 +160,7 @@ def coefficient_figures(daily: xr.Dataset, mean: xr.Dataset) -> list[figure]:
             own = daily.sel(axis=axis, coil=coil)
             value = float(mean["value"].sel(axis=axis, coil=coil))
             error_bars(plot, middle, own["value"].values, own["sigma"].values, colour, 0.35)
-            plot.scatter(middle, own["value"].values, color=colour, size=5, legend_label=f"coil {coil}")
+            draw_points(plot, middle, own["value"].values, color=colour, size=5, legend_label=f"coil {coil}")
             plot.add_layout(Span(location=value, dimension="width", line_color=colour, line_width=1))
         legend_below(plot)
         plots.append(plot)
@@ -180,14 +183,18 @@ def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[fig
     lower = plain_figure("Remanent field at the scalar sensor", "", "nT", x_axis_type="datetime", width=_WIDE)
     own = mean.state < MEAN_STATES.index("interpolated")
     for index, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
-        upper.scatter(middle, 1e3 * mean.daily[:, index], color=colour, size=2, alpha=0.35)
+        draw_points(upper, middle, 1e3 * mean.daily[:, index], color=colour, size=2, alpha=0.35)
         for plot, value, sigma in (
             (upper, 1e3 * mean.value[:, index], 1e3 * mean.sigma[:, index]),
             (lower, field["value"].values[:, index], field["sigma"].values[:, index]),
         ):
             error_band(plot, middle, value, sigma, colour)
-            plot.line(middle, np.where(own, value, np.nan), color=colour, line_width=2, legend_label=axis)
-            plot.line(middle, np.where(own, np.nan, value), color=colour, line_width=2, line_dash="dashed")
+            draw_line(
+                plot, middle, np.where(own, value, np.nan), color=colour, line_width=2, legend_label=axis
+            )
+            draw_line(
+                plot, middle, np.where(own, np.nan, value), color=colour, line_width=2, line_dash="dashed"
+            )
     for plot in (upper, lower):
         legend_below(plot)
     return [upper, lower]
@@ -207,9 +214,14 @@ def torquer_lines_figure(lines: xr.Dataset) -> figure:
     for sensor, colour in zip(lines["sensor"].values, (AFTER, BEFORE), strict=True):
         own = lines.sel(sensor=sensor)
         frequency = own["frequency"].values
-        plot.line(frequency, np.sqrt(own["beside"].values), color=colour, line_dash="dashed")
-        plot.line(
-            frequency, np.sqrt(own["power"].values), color=colour, line_width=2, legend_label=str(sensor)
+        draw_line(plot, frequency, np.sqrt(own["beside"].values), color=colour, line_dash="dashed")
+        draw_line(
+            plot,
+            frequency,
+            np.sqrt(own["power"].values),
+            color=colour,
+            line_width=2,
+            legend_label=str(sensor),
         )
     for edge in TORQUER_BAND_HZ:
         plot.add_layout(Span(location=edge, dimension="height", line_color=REFERENCE, line_dash="dotted"))
@@ -230,11 +242,13 @@ def spread_law_figure(law: xr.Dataset) -> figure:
     plot = plain_figure(
         "Variance of the residual", "square of the day's z offset (nT^2)", "nT^2", width=_WIDTH
     )
-    plot.scatter(square, law["variance"].values, color=BEFORE, size=5, legend_label="days")
+    draw_points(plot, square, law["variance"].values, color=BEFORE, size=5, legend_label="days")
     ends = np.array([min(square.min(), 0.0), square.max()])
-    plot.line(ends, factor * ends + noise, color=AFTER, line_width=2, legend_label="fit")
+    draw_line(plot, ends, factor * ends + noise, color=AFTER, line_width=2, legend_label="fit")
     geometry = float(law.attrs["geometry"])
-    plot.line(ends, geometry * ends + noise, color=REFERENCE, line_dash="dashed", legend_label="by the orbit")
+    draw_line(
+        plot, ends, geometry * ends + noise, color=REFERENCE, line_dash="dashed", legend_label="by the orbit"
+    )
     legend_below(plot)
     return plot
 
@@ -245,12 +259,14 @@ def stack_figures(found: EpochStack, unit_of: str = "solar current") -> list[fig
     title = f"Residual around {found.epochs} steps on {found.days} days"
     upper = plain_figure(title, "s after the step", "dB less drift (nT)", x_range=reach, width=_WIDE)
     source = ColumnDataSource({"x": found.lag, "low": found.low, "high": found.high})
-    upper.varea("x", "low", "high", source=source, color=AFTER, alpha=0.22, legend_label="68 % over days")
-    upper.line(found.lag, found.residual, color=AFTER, line_width=2, legend_label="mean residual")
+    draw_area(
+        upper, "x", "low", "high", source=source, color=AFTER, alpha=0.22, legend_label="68 % over days"
+    )
+    draw_line(upper, found.lag, found.residual, color=AFTER, line_width=2, legend_label="mean residual")
     lower = plain_figure(
         f"Mean {unit_of}", "s after the step", "change (A)", x_range=reach, width=_WIDE, height=190
     )
-    lower.line(found.lag, found.current, color=BEFORE, line_width=2)
+    draw_line(lower, found.lag, found.current, color=BEFORE, line_width=2)
     for plot in (upper, lower):
         plot.add_layout(Span(location=0.0, dimension="height", line_color=REFERENCE, line_dash="dotted"))
     legend_below(upper)
@@ -279,11 +295,11 @@ def local_time_figure(course: LocalTimeDependence, model: PanelModel | None = No
             part[known] for part in (course.local_time, course.value[:, index], course.sigma[:, index])
         )
         error_bars(plot, x, value, sigma, colour, 0.5)
-        plot.scatter(x, value, color=colour, size=6, legend_label=axis)
+        draw_points(plot, x, value, color=colour, size=6, legend_label=axis)
         if model is not None and model.name in ("constant", "two_panels"):
             hours = np.linspace(0.0, 24.0, 241)
             weight = panel_weights_at(hours) if model.name == "two_panels" else np.ones((hours.size, 1))
-            plot.line(hours, weight @ model.value[:, index], color=colour, alpha=0.7)
+            draw_line(plot, hours, weight @ model.value[:, index], color=colour, alpha=0.7)
     for hour in (12.0, 0.0):
         plot.add_layout(Span(location=hour, dimension="height", line_color=REFERENCE, line_dash="dotted"))
     legend_below(plot)
@@ -298,9 +314,9 @@ def offsets_figure(found: OffsetsFromSpread) -> figure:
     middle = mjd2000(found.start // 2 + found.end // 2)
     error_bars(plot, middle, found.value, found.sigma, AFTER, 0.4)
     fill = np.where(found.seen, 1.0, 0.0)
-    plot.scatter(middle, found.value, color=AFTER, fill_alpha=fill, size=5, legend_label="spread")
-    plot.line(middle, found.slope, color=BEFORE, alpha=0.7, legend_label="slope of dB on the direction")
-    plot.line([middle[0], middle[-1]], [0.0, 0.0], color=REFERENCE, line_dash="dashed")
+    draw_points(plot, middle, found.value, color=AFTER, fill_alpha=fill, size=5, legend_label="spread")
+    draw_line(plot, middle, found.slope, color=BEFORE, alpha=0.7, legend_label="slope of dB on the direction")
+    draw_line(plot, [middle[0], middle[-1]], [0.0, 0.0], color=REFERENCE, line_dash="dashed")
     legend_below(plot)
     return plot
 
@@ -345,7 +361,7 @@ def prior_figure(names: Sequence[str], shift: Floats, sigma: Floats, determined:
     for head in (bars.lower_head, bars.upper_head):
         head.size, head.line_color = 5, AFTER
     plot.add_layout(bars)
-    plot.scatter(shift, rows, size=6, color=AFTER, fill_alpha=np.where(determined, 1.0, 0.0))
+    draw_points(plot, shift, rows, size=6, color=AFTER, fill_alpha=np.where(determined, 1.0, 0.0))
     plot.add_layout(Span(location=0.0, dimension="height", line_color=REFERENCE))
     plot.yaxis.major_label_text_font_size = "10px"
     return plot
@@ -373,15 +389,20 @@ def continuous_figure(daily: xr.Dataset, table: xr.Dataset, title: str, factor: 
         shown, bars = factor * (own["value"].values - base), factor * own["sigma"].values
         error_bars(plot, when[thin], shown[thin], bars[thin], colour, 0.35)
         label = str(name).rsplit("[", maxsplit=1)[-1].rstrip("]")
-        plot.scatter(when, shown, color=colour, size=3, alpha=0.5)
+        draw_points(plot, when, shown, color=colour, size=3, alpha=0.5)
         values = factor * (common["value"].values - base)
         sigma = factor * common["sigma"].values
         reach = float(np.nanmax(np.abs(shown)) + np.nanmedian(bars))
         # A band many times wider than all that is to be seen hides it; the label has its size.
         if np.nanmedian(sigma) < _HIDES * reach:
             error_band(plot, curve, values, sigma, colour)
-        plot.line(
-            curve, values, color=colour, line_width=2, legend_label=f"{label} ± {np.nanmedian(sigma):.2g}"
+        draw_line(
+            plot,
+            curve,
+            values,
+            color=colour,
+            line_width=2,
+            legend_label=f"{label} ± {np.nanmedian(sigma):.2g}",
         )
     legend_below(plot)
     return plot
@@ -392,8 +413,8 @@ def band_level_figure(start: np.ndarray, before: Floats, after: Floats) -> figur
     plot = plain_figure("Residual in the torquers' band", "MJD (2000-01-01)", "nT", width=_WIDE)
     when = mjd2000(start)
     for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
-        plot.scatter(when, values, color=colour, size=5, legend_label=label)
-        plot.line(when, values, color=colour, alpha=0.4)
+        draw_points(plot, when, values, color=colour, size=5, legend_label=label)
+        draw_line(plot, when, values, color=colour, alpha=0.4)
     plot.y_range.start = 0.0
     legend_below(plot)
     return plot
@@ -404,7 +425,7 @@ def temperature_figure(temperature: Floats, value: Floats, sigma: Floats, title:
     plot = plain_figure(title, "temperature (degC)", unit, width=470)
     thin = slice(None, None, max(1, temperature.size // (4 * _BARS)))
     error_bars(plot, temperature[thin], value[thin], sigma[thin], AFTER, 0.3)
-    plot.scatter(temperature, value, color=AFTER, size=4)
+    draw_points(plot, temperature, value, color=AFTER, size=4)
     return plot
 
 

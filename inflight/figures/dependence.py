@@ -22,6 +22,10 @@ from inflight.figures.style import (
     HIGHLIGHT,
     REFERENCE,
     curve_with_errors,
+    draw_area,
+    draw_line,
+    draw_points,
+    draw_segments,
     error_band,
     error_bars,
     legend_below,
@@ -57,7 +61,8 @@ def dependence_figure(
         plot.add_layout(BoxAnnotation(bottom=-level, top=level, fill_color=REFERENCE, fill_alpha=0.15))
     if earlier is not None:
         known = np.isfinite(earlier.mean)
-        plot.line(
+        draw_line(
+            plot,
             earlier.centre[known],
             earlier.mean[known],
             color=BETWEEN,
@@ -70,7 +75,7 @@ def dependence_figure(
         for branch, colour, label in ((loop.rising, BEFORE, "rising"), (loop.falling, AFTER, apart)):
             met = np.isfinite(branch.mean)
             error_band(plot, found.centre[met], branch.mean[met], branch.sigma[met], colour)
-            plot.line(found.centre[met], branch.mean[met], color=colour, legend_label=label)
+            draw_line(plot, found.centre[met], branch.mean[met], color=colour, legend_label=label)
         legend_below(plot)
         return plot
     met = np.isfinite(found.mean)
@@ -95,15 +100,25 @@ def entry_figure(found: EntryCurve) -> figure:
         height=300,
     )
     error_bars(plot, found.centre, found.measured, found.measured_sigma, BEFORE)
-    plot.scatter(
-        found.centre, found.measured, color=BEFORE, size=6, legend_label="measured, all else in the model"
+    draw_points(
+        plot,
+        found.centre,
+        found.measured,
+        color=BEFORE,
+        size=6,
+        legend_label="measured, all else in the model",
     )
-    plot.line(found.centre, found.made, color="#111111", legend_label="what it would make")
+    draw_line(plot, found.centre, found.made, color="#111111", legend_label="what it would make")
     error_bars(plot, found.centre, found.left, found.left_sigma, AFTER)
-    plot.line(
-        found.centre, found.left, color=AFTER, line_dash="dotted", legend_label="left with it in the model"
+    draw_line(
+        plot,
+        found.centre,
+        found.left,
+        color=AFTER,
+        line_dash="dotted",
+        legend_label="left with it in the model",
     )
-    plot.scatter(found.centre, found.left, color=AFTER, size=4)
+    draw_points(plot, found.centre, found.left, color=AFTER, size=4)
     legend_below(plot)
     return plot
 
@@ -117,8 +132,8 @@ def axis_figure(found: AxisResponse) -> figure:
         value, sigma = found.field[:, index], found.sigma[:, index]
         error_bars(plot, found.centre, value, sigma, colour, 0.6)
         legend = f"{axis} {with_error(found.amplitude[index], found.sigma_amplitude[index])}"
-        plot.line(found.centre, value, color=colour, legend_label=legend)
-        plot.scatter(found.centre, value, color=colour, size=4)
+        draw_line(plot, found.centre, value, color=colour, legend_label=legend)
+        draw_points(plot, found.centre, value, color=colour, size=4)
     legend_below(plot)
     return plot
 
@@ -180,7 +195,7 @@ def response_figures(found: FieldResponse) -> list[figure]:
         if known.sum() > 1:
             ends = {"x": found.centre, "low": found.low[axis], "high": found.high[axis]}
             source = ColumnDataSource({key: values[known] for key, values in ends.items()})
-            plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
+            draw_area(plot, x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
         for branch, parts in found.branches.items():
             if branch == "after":
                 continue
@@ -190,7 +205,7 @@ def response_figures(found: FieldResponse) -> list[figure]:
             after = found.branches["after"][axis]
             known = np.isfinite(after.mean)
             style = {"color": "#111111", "line_dash": "dotted", "line_width": 2}
-            plot.line(after.centre[known], after.mean[known], **style)
+            draw_line(plot, after.centre[known], after.mean[known], **style)
         plots.append(plot)
     return plots
 
@@ -237,7 +252,8 @@ def channel_figures(
             plot.add_layout(BoxAnnotation(bottom=-level, top=level, fill_color=None, **edge))
         known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
         if known.sum() > 1:
-            plot.varea(
+            draw_area(
+                plot,
                 found.centre[known],
                 found.low[axis][known],
                 found.high[axis][known],
@@ -247,7 +263,8 @@ def channel_figures(
             )
         if earlier is not None and whole:
             met = np.isfinite(earlier.mean)
-            plot.line(
+            draw_line(
+                plot,
                 earlier.centre[met],
                 earlier.mean[met],
                 color=BETWEEN,
@@ -264,8 +281,9 @@ def channel_figures(
             order = np.flatnonzero(met)[np.argsort(curve.centre[met])]
             sigma = np.nan_to_num(curve.sigma[order])
             error_band(plot, curve.centre[order], curve.mean[order], sigma, colour)
-            plot.line(curve.centre[order], curve.mean[order], color=colour, line_width=1.5)
-            plot.scatter(
+            draw_line(plot, curve.centre[order], curve.mean[order], color=colour, line_width=1.5)
+            draw_points(
+                plot,
                 curve.centre[order],
                 curve.mean[order],
                 color=colour,
@@ -298,10 +316,10 @@ def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str = "")
     known = np.isfinite(curve.mean) & np.isfinite(curve.centre)
     x, mean, sigma = curve.centre[known], curve.mean[known], np.nan_to_num(curve.sigma[known])
     # Plain segments: whiskers are many models, and a page has many of these.
-    plot.segment(x, mean - sigma, x, mean + sigma, color=colour, alpha=0.6)
+    draw_segments(plot, x, mean - sigma, x, mean + sigma, color=colour, alpha=0.6)
     named = {"legend_label": label} if label else {}
-    plot.line(x, mean, color=colour, line_width=1.5, **named)
-    plot.scatter(x, mean, color=colour, marker=marker, size=5, **named)
+    draw_line(plot, x, mean, color=colour, line_width=1.5, **named)
+    draw_points(plot, x, mean, color=colour, marker=marker, size=5, **named)
 
 
 def _reach(curves: Sequence[Curve], more: Sequence[np.ndarray] = ()) -> tuple[float, float]:
@@ -341,7 +359,7 @@ def fold_figure(period: str, curve: np.ndarray, sigma: np.ndarray) -> figure:
             colour,
             0.5,
         )
-        plot.line(phase, curve[:, axis], color=colour, legend_label="xyz"[axis])
+        draw_line(plot, phase, curve[:, axis], color=colour, legend_label="xyz"[axis])
     legend_below(plot)
     return plot
 
@@ -366,14 +384,19 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
         x_axis_type="log",
         width=560,
     )
-    plot.line(found.lags[drawn], size[drawn], color=AFTER, line_width=2, legend_label="this lag")
+    draw_line(plot, found.lags[drawn], size[drawn], color=AFTER, line_width=2, legend_label="this lag")
     # No lag at all has no place on a logarithmic axis: it is a level.
-    plot.line(
-        found.lags[drawn][[0, -1]], [size[0], size[0]], color=AFTER, line_dash="dotted", legend_label="no lag"
+    draw_line(
+        plot,
+        found.lags[drawn][[0, -1]],
+        [size[0], size[0]],
+        color=AFTER,
+        line_dash="dotted",
+        legend_label="no lag",
     )
     if found.best > 0:
         height = float(np.interp(found.best, found.lags, size))
-        plot.scatter([found.best], [height], color=HIGHLIGHT, size=8, legend_label="best")
+        draw_points(plot, [found.best], [height], color=HIGHLIGHT, size=8, legend_label="best")
         plot.add_layout(Span(location=found.best, dimension="height", line_color=HIGHLIGHT, line_width=1.5))
         # The axis is logarithmic: an interval that reaches nothing is open to the left.
         low = found.best - found.sigma

@@ -24,6 +24,9 @@ from inflight.figures.style import (
     HIGHLIGHT,
     REFERENCE,
     bare_parameter,
+    draw_line,
+    draw_points,
+    draw_segments,
     legend_below,
     place_legend,
     plain_figure,
@@ -269,8 +272,11 @@ def gain_change_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
                 "after": after[mask],
             }
         )
-        plot.segment("before", "name", "after", "name", source=source, color=colour, line_width=2, alpha=0.6)
-        plot.scatter(
+        draw_segments(
+            plot, "before", "name", "after", "name", source=source, color=colour, line_width=2, alpha=0.6
+        )
+        draw_points(
+            plot,
             "before",
             "name",
             source=source,
@@ -279,10 +285,13 @@ def gain_change_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
             line_color=colour,
             legend_label="before",
         )
-        plot.scatter("after", "name", source=source, size=8, color=colour, legend_label=f"after ({label})")
+        draw_points(
+            plot, "after", "name", source=source, size=8, color=colour, legend_label=f"after ({label})"
+        )
     ghost = max([float(one["gain"]) for one in candidates if one["placebo"]], default=np.nan)
     if np.isfinite(ghost) and labels:
-        plot.line(
+        draw_line(
+            plot,
             [ghost, ghost],
             [labels[-1], labels[0]],
             color=REFERENCE,
@@ -531,7 +540,9 @@ def waterfall_figure(
     if np.isfinite(level):
         plot.add_layout(BoxAnnotation(bottom=low, top=high, fill_color=REFERENCE, fill_alpha=0.4))
         plot.add_layout(Span(location=level, dimension="width", line_color="#222222", line_dash="dashed"))
-        plot.line(["as found"], [level], color="#222222", line_dash="dashed", legend_label="noise floor")
+        draw_line(
+            plot, ["as found"], [level], color="#222222", line_dash="dashed", legend_label="noise floor"
+        )
     plot.hover.tooltips = [("", "@name"), ("from", "@before{0.0000} nT"), ("to", "@after{0.0000} nT")]
     place_legend(plot, "top_right")
     return plot
@@ -558,11 +569,15 @@ def order_figure(steps: Sequence[ErrorContribution]) -> figure:
         for square in [np.array([getattr(step, kind) for step in steps])]
     )
     source = ColumnDataSource({"name": names, "first": first, "turn": turn, "last": last})
-    plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
+    draw_segments(
+        plot, "first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5
+    )
     marks = (("first", "triangle", BEFORE), ("turn", "circle", "#111111"), ("last", "square", AFTER))
     for kind, marker, colour in marks:
         label = "in its turn" if kind == "turn" else kind
-        plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=label)
+        draw_points(
+            plot, kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=label
+        )
     plot.hover.tooltips = [
         ("", "@name"),
         *((kind, f"@{kind}{{0.0000}} nT") for kind in ("first", "turn", "last")),
@@ -664,11 +679,16 @@ def error_figure(
             text_font_size="11px",
             y_offset=-4,
         )
-        plot.scatter("change", "all", source=source, size=7, marker="diamond", color="#111111")
+        draw_points(plot, "change", "all", source=source, size=7, marker="diamond", color="#111111")
     if np.isfinite(floor) and floor > 0:
         plot.add_layout(Span(location=floor, dimension="width", line_color="#222222", line_dash="dashed"))
-        plot.line(
-            begin, [floor], color="#222222", line_dash="dashed", legend_label=f"noise floor {floor:.4g} nT"
+        draw_line(
+            plot,
+            begin,
+            [floor],
+            color="#222222",
+            line_dash="dashed",
+            legend_label=f"noise floor {floor:.4g} nT",
         )
     plot.hover.tooltips = [
         ("", "@change"),

@@ -23,6 +23,8 @@ from inflight.figures.style import (
     BEFORE,
     COMPONENTS,
     REFERENCE,
+    draw_line,
+    draw_points,
     error_bars,
     legend_below,
     plain_figure,
@@ -96,7 +98,7 @@ def difference_figure(
             "state": state[thin],
         }
     )
-    plot.scatter("x", "y", source=source, color="colour", size=4, alpha=0.5)
+    draw_points(plot, "x", "y", source=source, color="colour", size=4, alpha=0.5)
     seen = {number: one for number, one in known.items() if np.isfinite(one[0]).all()}
     rings = [_ellipse(middle, spread, plane) for middle, spread in seen.values()]
     # One glyph for all rings and one for all numbers: Bokeh makes a dozen models for each.
@@ -160,7 +162,7 @@ def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int)
         f"Outboard sensor along {_AXES[axis]}", "UTC", "nT", x_axis_type="datetime", width=1130
     )
     for values, colour, label in ((outboard, BEFORE, "as measured"), (field, AFTER, "corrected")):
-        plot.line(time, values[:, axis], color=colour, alpha=0.8, legend_label=label)
+        draw_line(plot, time, values[:, axis], color=colour, alpha=0.8, legend_label=label)
     legend_below(plot)
     return plot
 
@@ -169,7 +171,7 @@ def correction_figure(time: Times, correction: Floats) -> figure:
     """Draw what was taken off the outboard reading, all three components (time, axis), nT."""
     plot = plain_figure("What was taken off", "UTC", "nT", x_axis_type="datetime", width=1130)
     for axis, colour in enumerate(COMPONENTS):
-        plot.line(time, correction[:, axis], color=colour, legend_label=_AXES[axis])
+        draw_line(plot, time, correction[:, axis], color=colour, legend_label=_AXES[axis])
     legend_below(plot)
     return plot
 
@@ -188,12 +190,12 @@ def switching_steps_figure(difference: Floats, outboard: Floats, corrected: Floa
         "outboard step (nT)",
     )
     for values, colour, label in ((outboard, BEFORE, "as measured"), (corrected, AFTER, "corrected")):
-        plot.scatter(
-            difference[:, axis], values[:, axis], color=colour, size=5, alpha=0.7, legend_label=label
+        draw_points(
+            plot, difference[:, axis], values[:, axis], color=colour, size=5, alpha=0.7, legend_label=label
         )
     known = difference[np.isfinite(difference[:, axis]), axis]
     if known.size:
-        plot.line([known.min(), known.max()], [0.0, 0.0], color=REFERENCE, line_dash="dashed")
+        draw_line(plot, [known.min(), known.max()], [0.0, 0.0], color=REFERENCE, line_dash="dashed")
     legend_below(plot)
     return plot
 
@@ -230,7 +232,7 @@ def unit_steps_figure(time: Times, step: Floats, scatter: float, mean: Floats, s
     for axis, colour in enumerate(COMPONENTS):
         error_bars(plot, time, step[:, axis], np.full(len(step), scatter), colour)
         label = f"{_AXES[axis]} {with_error(float(mean[axis]), float(sigma[axis]))}"
-        plot.scatter(time, step[:, axis], color=colour, size=6, legend_label=label)
+        draw_points(plot, time, step[:, axis], color=colour, size=6, legend_label=label)
         plot.add_layout(Span(location=float(mean[axis]), dimension="width", line_color=colour))
     legend_below(plot)
     return plot
@@ -252,9 +254,9 @@ def relation_figure(table: xr.Dataset, part: str) -> figure:
     plot = plain_figure(title, "", unit, width=_WIDTH)
     place = np.arange(len(names), dtype=np.float64)
     value = factor * one["value"].values
-    plot.line([-0.5, len(names) - 0.5], [0.0, 0.0], color=REFERENCE)
+    draw_line(plot, [-0.5, len(names) - 0.5], [0.0, 0.0], color=REFERENCE)
     error_bars(plot, place, value, factor * one["sigma"].values, AFTER)
-    plot.scatter(place, value, color=AFTER, size=7)
+    draw_points(plot, place, value, color=AFTER, size=7)
     _label(plot, [name.partition("[")[2].removesuffix("]") for name in names])
     return plot
 
@@ -277,8 +279,8 @@ def relation_days_figure(daily: xr.Dataset, part: str) -> figure:
         one = daily.sel(parameter=name)
         value = factor * (one["value"].values - np.nanmedian(one["value"].values))
         error_bars(plot, middle[sparse], value[sparse], factor * one["sigma"].values[sparse], colour, 0.4)
-        plot.scatter(
-            middle, value, color=colour, size=4, legend_label=name.partition("[")[2].removesuffix("]")
+        draw_points(
+            plot, middle, value, color=colour, size=4, legend_label=name.partition("[")[2].removesuffix("]")
         )
     legend_below(plot)
     return plot
@@ -297,9 +299,9 @@ def sensor_variance_figure(table: xr.Dataset) -> figure:
     title = f"What disagrees, means of {table.attrs['mean_s']:g} s"
     plot = plain_figure(title, "", "variance, nT^2", width=_WIDTH)
     place = np.arange(len(names), dtype=np.float64)
-    plot.line([-0.5, len(names) - 0.5], [0.0, 0.0], color=REFERENCE)
+    draw_line(plot, [-0.5, len(names) - 0.5], [0.0, 0.0], color=REFERENCE)
     error_bars(plot, place, table["value"].values, table["sigma"].values, AFTER)
-    plot.scatter(place, table["value"].values, color=AFTER, size=8)
+    draw_points(plot, place, table["value"].values, color=AFTER, size=8)
     _label(plot, [f"{name} fluxgate" if name != "scalar" else "scalar sensor" for name in names])
     return plot
 

@@ -30,6 +30,9 @@ from inflight.figures.style import (
     HIGHLIGHT,
     REFERENCE,
     bare_parameter,
+    draw_line,
+    draw_points,
+    draw_segments,
     error_band,
     error_bars,
     legend_below,
@@ -105,9 +108,9 @@ def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
             for which, fill in ((known, 1.0), (~known, 0.0)):
                 if which.any():
                     own_days = middle[which], value[which]
-                    plot.scatter(*own_days, color=colour, fill_alpha=fill, size=5, legend_label=label)
+                    draw_points(plot, *own_days, color=colour, fill_alpha=fill, size=5, legend_label=label)
             level = (used["value"].sel(parameter=name).values - prior) * factor
-            plot.segment(start, level, end, level, color=colour, line_width=2, alpha=0.8)
+            draw_segments(plot, start, level, end, level, color=colour, line_width=2, alpha=0.8)
         legend_below(plot)
         plots.append(plot)
     return plots
@@ -127,14 +130,14 @@ def excess_scatter_figure(found: Sequence[ParameterScatter]) -> figure:
         "Daily scatter / stated uncertainty", "", "ratio", x_range=names, y_axis_type="log", width=560
     )
     plot.xaxis.major_label_orientation = 0.6
-    plot.line([names[0], names[-1]] if names else [], [1.0, 1.0] if names else [], color=REFERENCE)
+    draw_line(plot, [names[0], names[-1]] if names else [], [1.0, 1.0] if names else [], color=REFERENCE)
     known = [index for index, one in enumerate(found) if np.isfinite(one.ratio) and one.ratio > 0]
     ratio = np.array([found[index].ratio for index in known])
     sigma = np.array([found[index].sigma_ratio * found[index].ratio for index in known])
     far = [found[index].ratio > 1 + _SIGNIFICANT * found[index].sigma_ratio for index in known]
     shown = [names[index] for index in known]
     error_bars(plot, shown, ratio, np.minimum(sigma, 0.9 * ratio), AFTER, 0.5)
-    plot.scatter(shown, ratio, size=8, color=[HIGHLIGHT if one else AFTER for one in far])
+    draw_points(plot, shown, ratio, size=8, color=[HIGHLIGHT if one else AFTER for one in far])
     return plot
 
 
@@ -297,7 +300,7 @@ def comparison_figure(found: TrendComparison) -> figure:
     rms = np.array([one.rms for one in found.rivals])
     sigma = np.array([one.sigma_behind for one in found.rivals]) / (2.0 * rms)
     error_bars(plot, kinds, rms, np.minimum(sigma, 0.9 * rms), REFERENCE)
-    plot.scatter(kinds, rms, size=9, color=[AFTER if one.tied else BEFORE for one in found.rivals])
+    draw_points(plot, kinds, rms, size=9, color=[AFTER if one.tied else BEFORE for one in found.rivals])
     return plot
 
 
@@ -305,9 +308,9 @@ def boundary_steps_figure(table: BoundarySteps, trend: BoundarySteps) -> figure:
     """Draw the steps of |B| at the boundaries of a table, and those of continuous parameters."""
     title = f"Steps at boundaries in {table.strength:.0f} nT, rms over directions"
     plot = plain_figure(title, "MJD (2000-01-01)", "nT", width=560)
-    plot.scatter(mjd2000(table.at), table.rms, color=BEFORE, size=4, legend_label="intervals")
-    plot.line(mjd2000(table.at), np.abs(table.mean), color=BEFORE, alpha=0.6, legend_label="|mean|")
-    plot.line(mjd2000(trend.at), trend.rms, color=AFTER, line_width=2, legend_label="continuous")
+    draw_points(plot, mjd2000(table.at), table.rms, color=BEFORE, size=4, legend_label="intervals")
+    draw_line(plot, mjd2000(table.at), np.abs(table.mean), color=BEFORE, alpha=0.6, legend_label="|mean|")
+    draw_line(plot, mjd2000(trend.at), trend.rms, color=AFTER, line_width=2, legend_label="continuous")
     legend_below(plot)
     return plot
 
@@ -320,9 +323,9 @@ def parameter_spectrum_figure(found: ParameterSpectrum, title: str) -> figure:
     """Draw amplitude against period with the noise's background and its false-alarm level of 1 %."""
     plot = plain_figure(title, "period (d)", found.unit, x_axis_type="log", width=560)
     period = 1.0 / found.frequency
-    plot.line(period, found.amplitude, color=AFTER, legend_label="amplitude")
-    plot.line(period, found.background, color=REFERENCE, legend_label="red noise")
-    plot.line(period, found.level, color=BEFORE, line_dash="dashed", legend_label="false alarm 1 %")
+    draw_line(plot, period, found.amplitude, color=AFTER, legend_label="amplitude")
+    draw_line(plot, period, found.background, color=REFERENCE, legend_label="red noise")
+    draw_line(plot, period, found.level, color=BEFORE, line_dash="dashed", legend_label="false alarm 1 %")
     for one in found.named:
         dash = "solid" if one.resolved else "dotted"
         mark = Span(
@@ -334,7 +337,7 @@ def parameter_spectrum_figure(found: ParameterSpectrum, title: str) -> figure:
     for peaks, colour, label in ((named, AFTER, "named"), (unnamed, HIGHLIGHT, "unnamed")):
         x, y = [one.period for one in peaks], [one.amplitude for one in peaks]
         if peaks:
-            plot.scatter(x, y, color=colour, size=8, legend_label=label)
+            draw_points(plot, x, y, color=colour, size=8, legend_label=label)
     legend_below(plot)
     return plot
 
@@ -343,10 +346,10 @@ def running_means_figure(mjd: Floats, value: Floats, means: Sequence[RunningMean
     """Draw daily values and their running means with bands; gaps stay gaps."""
     unit = means[0].unit if means else ""
     plot = plain_figure(title, "MJD (2000-01-01)", unit, width=560)
-    plot.scatter(mjd, value, color=REFERENCE, size=2, alpha=0.5)
+    draw_points(plot, mjd, value, color=REFERENCE, size=2, alpha=0.5)
     for one, colour in zip(means, COMPONENTS, strict=False):
         error_band(plot, one.mjd, one.value, one.sigma, colour)
-        plot.line(one.mjd, one.value, color=colour, line_width=2, legend_label=f"{one.window:g} d")
+        draw_line(plot, one.mjd, one.value, color=colour, line_width=2, legend_label=f"{one.window:g} d")
     legend_below(plot)
     return plot
 
@@ -361,8 +364,8 @@ def hysteresis_figure(found: HysteresisLoop, title: str) -> figure:
     )
     for mean, sigma, colour, label in branches:
         error_bars(plot, found.centre, mean, sigma, colour)
-        plot.line(found.centre, mean, color=colour, legend_label=label)
-        plot.scatter(found.centre, mean, color=colour, size=5)
+        draw_line(plot, found.centre, mean, color=colour, legend_label=label)
+        draw_points(plot, found.centre, mean, color=colour, size=5)
     legend_below(plot)
     return plot
 
@@ -375,7 +378,7 @@ def event_steps_figure(found: EventSteps, title: str) -> figure:
         (~found.found, AFTER, "event"),
         (found.found, HIGHLIGHT, "step beyond chance"),
     ):
-        plot.scatter(found.at[which], found.size[which], color=colour, size=5, legend_label=label)
+        draw_points(plot, found.at[which], found.size[which], color=colour, size=5, legend_label=label)
     legend_below(plot)
     return plot
 
@@ -389,10 +392,10 @@ def clock_figure(found: ClockFaults, shift: Floats, sigma: Floats | None = None)
     size = found.scatter if sigma is None else sigma
     some = slice(None, None, max(1, found.mjd.size // _MOST_BARS))
     error_bars(plot, found.mjd[some], 1e3 * shift[some], 1e3 * size[some], AFTER, 0.35)
-    plot.scatter(found.mjd, 1e3 * shift, color=AFTER, size=3, legend_label="days")
-    plot.line(found.mjd, 1e3 * found.usual, color=REFERENCE, line_width=2, legend_label="usual")
+    draw_points(plot, found.mjd, 1e3 * shift, color=AFTER, size=3, legend_label="days")
+    draw_line(plot, found.mjd, 1e3 * found.usual, color=REFERENCE, line_width=2, legend_label="usual")
     for one in found.faults:
         days = (found.mjd >= one.first) & (found.mjd < one.last + 1)
-        plot.scatter(found.mjd[days], 1e3 * shift[days], color=HIGHLIGHT, size=8, legend_label="fault")
+        draw_points(plot, found.mjd[days], 1e3 * shift[days], color=HIGHLIGHT, size=8, legend_label="fault")
     legend_below(plot)
     return plot

@@ -33,6 +33,9 @@ from inflight.figures.style import (
     BETWEEN,
     HIGHLIGHT,
     REFERENCE,
+    draw_area,
+    draw_line,
+    draw_points,
     legend_below,
     log_ticks,
     place_legend,
@@ -74,15 +77,17 @@ def daily_figure(
     )
     middle = [] if earlier is None else [(earlier[0], BETWEEN, earlier[1])]
     for values, colour, label in ((before, BEFORE, labels[0]), *middle, (after, AFTER, labels[1])):
-        plot.line(day, values, color=colour, alpha=0.6)
-        plot.scatter(day, values, color=colour, size=5, legend_label=label)
+        draw_line(plot, day, values, color=colour, alpha=0.6)
+        draw_points(plot, day, values, color=colour, size=5, legend_label=label)
     # Half a day to either side: of a single day the axis would show microseconds.
     ends = day[0] - _HALF_DAY, day[-1] + _HALF_DAY
     plot.x_range = Range1d(*(int(end.astype("datetime64[ms]").astype(np.int64)) for end in ends))
     if (ticks := log_ticks(np.concatenate([before, after]))) is not None:
         plot.yaxis.ticker = ticks
     if np.isfinite(floor) and floor > 0:
-        plot.line(list(ends), [floor, floor], color=REFERENCE, line_dash="dashed", legend_label="noise floor")
+        draw_line(
+            plot, list(ends), [floor, floor], color=REFERENCE, line_dash="dashed", legend_label="noise floor"
+        )
     place_legend(plot, "center_right")
     return plot
 
@@ -94,16 +99,18 @@ def fall_figure(
     plot = plain_figure(
         "How the error falls, each day", "", "rms residual (nT)", x_axis_type="datetime", width=width
     )
-    plot.varea(x=day, y1=after, y2=before, color=BETWEEN, alpha=0.15)
+    draw_area(plot, x=day, y1=after, y2=before, color=BETWEEN, alpha=0.15)
     for values, colour, label in ((before, BETWEEN, labels[0]), (after, AFTER, labels[1])):
-        plot.line(day, values, color=colour, line_width=2)
-        plot.scatter(day, values, color=colour, size=5, legend_label=label)
+        draw_line(plot, day, values, color=colour, line_width=2)
+        draw_points(plot, day, values, color=colour, size=5, legend_label=label)
     ends = day[0] - _HALF_DAY, day[-1] + _HALF_DAY
     plot.x_range = Range1d(*(int(end.astype("datetime64[ms]").astype(np.int64)) for end in ends))
     most = float(np.nanmax(np.concatenate([before, after, [floor if np.isfinite(floor) else 0.0]])))
     plot.y_range = Range1d(0.0, 1.15 * most)
     if np.isfinite(floor) and floor > 0:
-        plot.line(list(ends), [floor, floor], color="#222222", line_dash="dashed", legend_label="noise floor")
+        draw_line(
+            plot, list(ends), [floor, floor], color="#222222", line_dash="dashed", legend_label="noise floor"
+        )
     legend_below(plot)
     return plot
 
@@ -113,8 +120,8 @@ def series_figure(time: Days, mean: Floats, low: Floats, high: Floats) -> figure
     plot = plain_figure("Calibrated residual in time", "", "nT", x_axis_type="datetime", width=1130)
     source = ColumnDataSource({"time": time, "mean": mean, "low": low, "high": high})
     band = {"x": "time", "y1": "low", "y2": "high", "source": source}
-    plot.varea(**band, color=AFTER, alpha=0.2, legend_label="extremes")
-    plot.line("time", "mean", source=source, color=AFTER, line_width=1.2, legend_label="mean")
+    draw_area(plot, **band, color=AFTER, alpha=0.2, legend_label="extremes")
+    draw_line(plot, "time", "mean", source=source, color=AFTER, line_width=1.2, legend_label="mean")
     place_legend(plot)
     return plot
 
@@ -134,10 +141,10 @@ def trace_figure(sources: Mapping[str, ColumnDataSource], span: Range1d) -> figu
     colours = {"residual": AFTER, "before": REFERENCE, "after": AFTER}
     for name in (one for one in sources if one in colours):
         band = {"x": "x", "y1": "low", "y2": "high", "source": sources[name]}
-        plot.varea(**band, color=colours[name], alpha=0.2)
-        plot.line("x", "mean", source=sources[name], color=colours[name], legend_label=name, name=name)
+        draw_area(plot, **band, color=colours[name], alpha=0.2)
+        draw_line(plot, "x", "mean", source=sources[name], color=colours[name], legend_label=name, name=name)
     marks = {"marker": "x", "size": 7, "color": HIGHLIGHT, "legend_label": "flagged", "name": "flagged"}
-    dots = plot.scatter("x", "y", source=sources["flagged"], **marks)
+    dots = draw_points(plot, "x", "y", source=sources["flagged"], **marks)
     plot.hover.renderers, plot.hover.tooltips = [dots], [("flags", "@flag"), ("nT", "@y{0.0000}")]
     _as_strip(plot)
     return plot
@@ -212,8 +219,8 @@ def contribution_figure(
         colour = AFTER if place == 0 else _DISTINCT[1:][(place - 1) % (len(_DISTINCT) - 1)]
         source = sources[row.name]
         plot.add_layout(Span(location=row.place, dimension="width", line_color="#c8c8c8"))
-        plot.varea(x="x", y1="low", y2="high", source=source, color=colour, alpha=0.3)
-        plot.line("x", "y", source=source, color=colour, line_width=1.2, name=row.name)
+        draw_area(plot, x="x", y1="low", y2="high", source=source, color=colour, alpha=0.3)
+        draw_line(plot, "x", "y", source=source, color=colour, line_width=1.2, name=row.name)
         step = float(f"{0.3 / row.scale:.0e}")
         for value in (-step, 0.0, step):
             ticks.append(row.place + value * row.scale)

@@ -13,7 +13,17 @@ from bokeh.models import Label, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, HIGHLIGHT, REFERENCE, log_ticks, place_legend, plain_figure
+from inflight.figures.style import (
+    AFTER,
+    BEFORE,
+    HIGHLIGHT,
+    REFERENCE,
+    draw_line,
+    draw_points,
+    log_ticks,
+    place_legend,
+    plain_figure,
+)
 from inflight.residual import SERIES, Line, SpectrumSum, format_period, thin_spectrum
 
 #: What each series is called above its figure.
@@ -60,7 +70,7 @@ def spectrum_figure(
     for power, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         if power is not None:
             shown, thin = thin_spectrum(frequency, power)
-            plot.line(1.0 / shown, np.sqrt(thin), color=colour, legend_label=label)
+            draw_line(plot, 1.0 / shown, np.sqrt(thin), color=colour, legend_label=label)
     period = 1.0 / frequency
     if (ticks := log_ticks(period)) is not None:
         plot.xaxis.ticker = ticks
@@ -76,7 +86,9 @@ def draw_floor(plot: figure, frequency: Floats, level: float) -> None:
     if np.isfinite(level) and level > 0:
         period = 1.0 / frequency[[0, -1]]
         height = level / np.sqrt(frequency[-1])
-        plot.line(period, [height, height], color="#222222", line_dash="dashed", legend_label="noise floor")
+        draw_line(
+            plot, period, [height, height], color="#222222", line_dash="dashed", legend_label="noise floor"
+        )
 
 
 def _mark_known(plot: figure, known: Mapping[str, float]) -> None:
@@ -109,7 +121,7 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
     at = [int(np.argmin(np.abs(frequency - 1.0 / line.period_s))) for line in inside]
     height = [float(np.sqrt(power[max(i - 1, 0) : i + 2].max())) for i in at]
     periods = [line.period_s for line in inside]
-    plot.scatter(periods, height, color=HIGHLIGHT, size=7, legend_label="unknown period")
+    draw_points(plot, periods, height, color=HIGHLIGHT, size=7, legend_label="unknown period")
     for seconds, top in zip(periods, height, strict=True):
         plot.add_layout(
             Label(

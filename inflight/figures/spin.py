@@ -24,6 +24,9 @@ from inflight.figures.style import (
     COMPONENTS,
     HIGHLIGHT,
     REFERENCE,
+    draw_line,
+    draw_points,
+    draw_segments,
     error_band,
     error_bars,
     legend_below,
@@ -88,14 +91,16 @@ def _days_panel(table: xr.Dataset, selected: tuple[Floats, Floats], name: str) -
         known = np.isfinite(value) & np.isfinite(sigma)
         when = to_utc((middle + apart * (end - start)).astype(np.int64))[known]
         error_bars(plot, when, value[known], sigma[known], colour, 0.5)
-        plot.scatter(when, value[known], color=colour, size=5, legend_label=label)
+        draw_points(plot, when, value[known], color=colour, size=5, legend_label=label)
     used = row["value"].values - prior
-    plot.segment(to_utc(start), used, to_utc(end), used, color=HIGHLIGHT, line_width=2, legend_label="in use")
+    draw_segments(
+        plot, to_utc(start), used, to_utc(end), used, color=HIGHLIGHT, line_width=2, legend_label="in use"
+    )
     values = np.concatenate([used, own[np.isfinite(own)]])
     # The pre-flight value is drawn where it does not press everything else together.
     if np.abs(values).min() <= _FAR * float(np.ptp(values)):
         ends = to_utc(start[:1]), [0.0], to_utc(end[-1:]), [0.0]
-        plot.segment(*ends, color=REFERENCE, line_dash="dashed", legend_label="pre-flight")
+        draw_segments(plot, *ends, color=REFERENCE, line_dash="dashed", legend_label="pre-flight")
     legend_below(plot)
     return plot
 
@@ -111,7 +116,7 @@ def zero_drift_figure(table: xr.Dataset, rate: dict[str, tuple[float, float]]) -
         known = np.isfinite(sigma)
         drift = f": {with_error(*rate[name])} nT a day" if name in rate else ""
         error_bars(plot, middle[known], change[known], sigma[known], colour, 0.5)
-        plot.scatter(middle[known], change[known], color=colour, size=6, legend_label=f"{name}{drift}")
+        draw_points(plot, middle[known], change[known], color=colour, size=6, legend_label=f"{name}{drift}")
     legend_below(plot)
     if plot.legend:
         plot.legend[0].orientation = "vertical"
@@ -143,7 +148,7 @@ def _markers(
     middle = span[0] // 2 + span[1] // 2 + (label[1] * (span[1] - span[0])).astype(np.int64)
     when = to_utc(middle)[known]
     error_bars(plot, when, values[0][known], values[1][known], colour)
-    plot.scatter(when, values[0][known], color=colour, size=6, legend_label=label[0])
+    draw_points(plot, when, values[0][known], color=colour, size=6, legend_label=label[0])
 
 
 def correlation_figure(correlation: Floats) -> figure:
@@ -293,18 +298,20 @@ def _estimates_panel(
         width=290,
     )
     for which, colour, label in ((known & ~chosen, BEFORE, "others"), (known & chosen, HIGHLIGHT, "chosen")):
-        plot.scatter(uncertainty[which], value[which], color=colour, size=3, alpha=0.6, legend_label=label)
+        draw_points(
+            plot, uncertainty[which], value[which], color=colour, size=3, alpha=0.6, legend_label=label
+        )
     span = [float(uncertainty[known].min()), float(uncertainty[known].max())] if known.any() else [1e-6, 1.0]
     if np.isfinite(selection.threshold[at]):
         span[1] = min(span[1], _WIDE * float(selection.threshold[at]))
     plot.x_range = Range1d(0.7 * span[0], 1.4 * span[1])
     if np.isfinite(selection.sigma[at]):
-        plot.line(span, [selection.value[at]] * 2, color=AFTER, line_width=2, legend_label="selection")
+        draw_line(plot, span, [selection.value[at]] * 2, color=AFTER, line_width=2, legend_label="selection")
     if np.isfinite(selection.threshold[at]):
         limit = float(selection.threshold[at])
         plot.add_layout(Span(location=limit, dimension="height", line_color=REFERENCE, line_dash="dotted"))
     if joint is not None and np.isfinite(joint[1][at]):
-        plot.line(span, [joint[0][at]] * 2, color=REFERENCE, line_dash="dashed", legend_label="joint")
+        draw_line(plot, span, [joint[0][at]] * 2, color=REFERENCE, line_dash="dashed", legend_label="joint")
     legend_below(plot)
     return plot
 
@@ -346,7 +353,7 @@ def uncertainty_figure(selection: SubintervalEstimates) -> Any:
         known = np.isfinite(uncertainty) & (uncertainty > 0.0)
         for which, colour in ((known & ~chosen, BEFORE), (known & chosen, HIGHLIGHT)):
             source = ColumnDataSource({"x": hours[which], "y": uncertainty[which]})
-            plot.scatter("x", "y", source=source, color=colour, size=3)
+            draw_points(plot, "x", "y", source=source, color=colour, size=3)
         panels.append(plot)
     return gridplot([[panel] for panel in panels], toolbar_location="above", merge_tools=True)
 
@@ -370,9 +377,9 @@ def tones_over_time_figure(time: Int64, before: Tones, after: Tones, tone: int) 
     )
     for one, (label, colour) in zip((before, after), _STATES, strict=True):
         x, y = _medians(time, np.abs(one.value[:, tone]) / np.sqrt(2.0))
-        plot.scatter(x, y, color=colour, size=3, alpha=0.7, legend_label=label)
+        draw_points(plot, x, y, color=colour, size=3, alpha=0.7, legend_label=label)
     x, y = _medians(time, after.noise)
-    plot.line(x, y, color=REFERENCE, legend_label="nature's noise, all tones")
+    draw_line(plot, x, y, color=REFERENCE, legend_label="nature's noise, all tones")
     legend_below(plot)
     return plot
 
@@ -400,7 +407,7 @@ def mean_turn_figure(before: ToneDependence | None, after: ToneDependence | None
             curve = np.sum(np.real(waves), axis=0)
             sigma = np.full(phase.size, np.sqrt(np.sum(one.sigma[0, tones] ** 2) / 2.0))
             error_band(plot, phase, curve, sigma, colour)
-            plot.line(phase, curve, color=colour, line_width=2, legend_label=label)
+            draw_line(plot, phase, curve, color=colour, line_width=2, legend_label=label)
         legend_below(plot)
         plots.append(plot)
     return gridplot([plots], toolbar_location="above", merge_tools=True)
@@ -421,8 +428,8 @@ def tone_dependence_figure(found: ToneDependence, tone: int) -> figure:
         (found.mean[order, tone].imag, COMPONENTS[2], "sine"),
     ):
         error_bars(plot, x, part, sigma, colour, 0.5)
-        plot.line(x, part, color=colour, legend_label=name)
-        plot.scatter(x, part, color=colour, size=5)
+        draw_line(plot, x, part, color=colour, legend_label=name)
+        draw_points(plot, x, part, color=colour, size=5)
     place_legend(plot)
     legend_below(plot)
     return plot

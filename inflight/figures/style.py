@@ -12,7 +12,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, Line, Scatter, Segment, VArea
+from bokeh.core.properties import value
+from bokeh.models import (
+    ColumnDataSource,
+    FixedTicker,
+    Glyph,
+    GlyphRenderer,
+    Legend,
+    LegendItem,
+    Line,
+    Scatter,
+    Segment,
+    VArea,
+)
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
@@ -85,41 +97,101 @@ def log_ticks(values: Floats) -> FixedTicker | None:
     return FixedTicker(ticks=sorted(float(f"{part * decade:.3g}") for decade in decades for part in parts))
 
 
+# Bokeh's own methods of a figure make three glyphs of each curve, two of them for states that nothing here
+# has (not selected, muted): a third of what a page of a hundred figures takes. These make one.
+
+
+def draw_line(plot: figure, x: Any, y: Any, **style: Any) -> GlyphRenderer:
+    """Draw a line through points; see `_draw` for the style."""
+    return _draw(plot, Line, {"x": x, "y": y}, style)
+
+
+def draw_points(plot: figure, x: Any, y: Any, **style: Any) -> GlyphRenderer:
+    """Draw points; see `_draw` for the style."""
+    return _draw(plot, Scatter, {"x": x, "y": y}, style)
+
+
+def draw_segments(plot: figure, x0: Any, y0: Any, x1: Any, y1: Any, **style: Any) -> GlyphRenderer:
+    """Draw a straight line from each (x0, y0) to (x1, y1); see `_draw` for the style."""
+    return _draw(plot, Segment, {"x0": x0, "y0": y0, "x1": x1, "y1": y1}, style)
+
+
+def draw_area(plot: figure, x: Any, y1: Any, y2: Any, **style: Any) -> GlyphRenderer:
+    """Fill what lies between two curves; see `_draw` for the style."""
+    return _draw(plot, VArea, {"x": x, "y1": y1, "y2": y2}, style)
+
+
+def _draw(plot: figure, glyph: type[Glyph], places: dict[str, Any], style: dict[str, Any]) -> GlyphRenderer:
+    """Draw a glyph.
+
+    Parameters
+    ----------
+    places : dict
+        Values by what of the glyph they are; names of columns where `style` has a `source`.
+    style : dict
+        As Bokeh's own methods take it: properties of the glyph (``line_width``, ``size``), ``color`` and
+        ``alpha`` of all of it, ``source``, ``legend_label``, and the ``name`` of what is drawn.
+    """
+    source, label = style.pop("source", None), style.pop("legend_label", "")
+    named = {"name": style.pop("name")} if "name" in style else {}
+    if source is None:
+        columns = dict(places)
+        # Sizes of points, one each.
+        columns |= {key: style.pop(key) for key, one in list(style.items()) if isinstance(one, np.ndarray)}
+        source, places = ColumnDataSource(columns), {key: key for key in columns}
+    for what in ("color", "alpha"):
+        if what in style:
+            value = style.pop(what)
+            style = {f"{part}_{what}": value for part in _PARTS[glyph]} | style
+    renderer = plot.add_glyph(source, glyph(**places, **style), **named)
+    if label:
+        _name_in_legend(plot, renderer, label)
+    return renderer
+
+
+#: What of a glyph has a colour.
+_PARTS: dict[type[Glyph], tuple[str, ...]] = {
+    Line: ("line",),
+    Segment: ("line",),
+    Scatter: ("line", "fill"),
+    VArea: ("fill",),
+}
+
+
+def _name_in_legend(plot: figure, renderer: GlyphRenderer, label: str) -> None:
+    """Give what is drawn its entry in the legend; what has the same name shares one."""
+    places = (plot.center, plot.above, plot.below, plot.left, plot.right)
+    legend = next((one for place in places for one in place if isinstance(one, Legend)), None)
+    if legend is None:
+        legend = Legend()
+        plot.add_layout(legend)
+    for item in legend.items:
+        if item.label == value(label):
+            item.renderers.append(renderer)
+            return
+    legend.items.append(LegendItem(label=value(label), renderers=[renderer]))
+
+
 def error_band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
     """Draw a band of one sigma around a curve."""
-    source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
-    _draw_band(plot, source, colour)
+    draw_area(plot, x, value - sigma, value + sigma, color=colour, alpha=0.18)
 
 
 def error_bars(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str, alpha: float = 1.0) -> None:
-    """Draw error bars of one sigma that the figure's range takes in."""
-    source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
-    _draw_bars(plot, source, colour, alpha)
+    """Draw error bars of one sigma that the figure's range takes in; whiskers would be marks of their own."""
+    draw_segments(plot, x, value - sigma, x, value + sigma, color=colour, alpha=alpha)
 
 
 def curve_with_errors(
     plot: figure, x: Floats, value: Floats, sigma: Floats, colour: str, bars: float = 0.5
 ) -> None:
     """Draw a curve through points, with a band and bars (of opacity `bars`) of one sigma."""
-    ends = {"x": x, "value": value, "low": value - sigma, "high": value + sigma}
-    source = ColumnDataSource(ends)
-    _draw_band(plot, source, colour)
-    _draw_bars(plot, source, colour, bars)
-    plot.add_glyph(source, Line(x="x", y="value", line_color=colour))
-    plot.add_glyph(source, Scatter(x="x", y="value", line_color=colour, fill_color=colour, size=5))
-
-
-# Glyphs of a source they share, and no whiskers: a page has hundreds, of which Bokeh's own methods make
-# models for states that nothing here has (selected, muted), and whiskers need marks that widen the range.
-
-
-def _draw_band(plot: figure, source: ColumnDataSource, colour: str) -> None:
-    plot.add_glyph(source, VArea(x="x", y1="low", y2="high", fill_color=colour, fill_alpha=0.18))
-
-
-def _draw_bars(plot: figure, source: ColumnDataSource, colour: str, alpha: float) -> None:
-    ends = {"x0": "x", "y0": "low", "x1": "x", "y1": "high"}
-    plot.add_glyph(source, Segment(**ends, line_color=colour, line_alpha=alpha))
+    # All of one source, whose values the page has once.
+    source = ColumnDataSource({"x": x, "value": value, "low": value - sigma, "high": value + sigma})
+    draw_area(plot, "x", "low", "high", source=source, color=colour, alpha=0.18)
+    draw_segments(plot, "x", "low", "x", "high", source=source, color=colour, alpha=bars)
+    draw_line(plot, "x", "value", source=source, color=colour)
+    draw_points(plot, "x", "value", source=source, color=colour, size=5)
 
 
 _FIELD = re.compile(r"channel_(field|rate|scale)\((?P<channel>.*)\)(?P<rest>(@.*)?)$")
