@@ -35,7 +35,7 @@ from inflight.tasks.analysis import (
     DiagnoseSettings,
     Examined,
     Workbench,
-    diagnose_if_unchanged,
+    asked_of,
     diagnose_span,
     diagnosis_sections,
     examine,
@@ -125,7 +125,7 @@ class ExplorerSession:
         self.begun: list[tuple[InOwnProcess, BackgroundJob]] = []
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
-        self._searched: tuple[Mapping[str, Any], Examined] | None = None
+        self._searched: tuple[Examined, Mapping[str, Any]] | None = None
         self._read: dict[str, tuple[Any, ...]] = {}
         self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
@@ -343,34 +343,38 @@ class ExplorerSession:
         self._bench = self._searched = None
         with lazy_client(self.workers) as client:
             how: Any = {"client": client, "progress": progress, "finished": self._keep_search}
+            # Before any of its files of Python are run.
+            self.mission()
             found = diagnose_span(self.workspace, *span, settings, **how)
         return found | {"asked": {"start": span[0], "end": span[1], "settings": settings.model_dump()}}
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
-        return diagnosis_sections(*self._last_search(comparison, progress), progress)
+        found, _ = self._last_search(comparison, progress)
+        return diagnosis_sections(*found, progress)
 
-    def _last_search(self, comparison: str, progress: Progress) -> Examined:
-        """Return the search of the last diagnosis for the model in use; done anew unless it was done here."""
-        request = self._last_request(comparison)
+    def _last_search(self, comparison: str, progress: Progress) -> tuple[Examined, Mapping[str, Any]]:
+        """Return the search of the last diagnosis for the model in use, and what was asked.
+
+        It is done anew unless it was done here, and would find the same.
+        """
+        # Before any of its files of Python are run.
+        mission, request = self.mission(), self._last_request(comparison)
         span, settings = (request.get("start"), request.get("end")), _settings(request, comparison)
-        kept = self._searched
-        if kept is not None and kept[0] == request and self._is_unchanged(span, settings):
-            return kept[1]
-        with lazy_client(self.workers) as client:
-            mission = self.mission()
-            found = examine(self.cat, mission, *span, settings, client=client, progress=progress)
-        if self._is_unchanged(span, settings):
-            self._keep_search(found)
-        return found
+        asked = asked_of(self.cat, mission, *span, settings)
+        if self._searched is None or self._searched[1] != asked:
+            # Gram blocks of a search and of a workbench are not held together.
+            self._bench = self._searched = None
+            with lazy_client(self.workers) as client:
+                how: Any = {"client": client, "progress": progress}
+                self._keep_search(examine(self.cat, mission, *span, settings, **how), asked)
+        assert self._searched is not None
+        return self._searched
 
-    def _is_unchanged(self, span: tuple[str | None, str | None], settings: DiagnoseSettings) -> bool:
-        """Return True when a diagnosis would find what the last one found."""
-        return diagnose_if_unchanged(self.workspace, *span, settings) is not None
-
-    def _keep_search(self, found: Examined) -> None:
-        """Keep the search of the last diagnosis; it is some hundred megabytes."""
-        self._searched = self._last_request(found.settings.comparison), found
+    def _keep_search(self, found: Examined, asked: Mapping[str, Any]) -> None:
+        """Keep a search, some hundred megabytes, and what was asked."""
+        names = ("start", "end", "settings", "made_from")
+        self._searched = found, {name: asked[name] for name in names}
 
     def write_report(self, comparison: str, progress: Progress) -> Path:
         """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.
@@ -385,8 +389,7 @@ class ExplorerSession:
         span = last.get("start"), last.get("end")
         page = page_of_diagnosis(self.workspace, comparison, *span)
         if report_if_unchanged(self.workspace, page, *span, _settings(last, comparison)) is None:
-            found = self._last_search(comparison, progress)
-            write_report(self.workspace, page, found, *span, progress)
+            write_report(self.workspace, page, *self._last_search(comparison, progress), progress)
         return page
 
     def model_file(self, comparison: str) -> tuple[str, str]:
@@ -591,7 +594,7 @@ class ExplorerSession:
         """Return the cached workbench, or a new one when mission, model or last diagnosis changed since."""
         key = self._workbench_key(comparison)
         if self._bench is None or self._bench[0] != key:
-            # Its Gram blocks and those of a search are not held together.
+            # Nor are its Gram blocks held together with those of a search.
             self._bench = self._searched = None
             opened = open_workbench(self.workspace, comparison, client=client, progress=progress)
             self._bench = (key, opened)

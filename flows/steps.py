@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -36,7 +35,7 @@ from inflight.errors import InflightError
 from inflight.flows.cluster import lazy_client
 from inflight.flows.runner import runner
 from inflight.flows.span import DateOrNone, DaySpan, month_span
-from inflight.tasks import ReprocessSettings, RunReport, problem_of
+from inflight.tasks import ReprocessSettings, RunReport, error_fields, problem, problem_of
 from inflight.tasks.analysis import DiagnoseSettings
 
 if TYPE_CHECKING:
@@ -154,7 +153,7 @@ def diagnose(
     search : bool
         Search though the last verdict may stand for the days since.
     page : bool
-        Write the page of what a search found, too: without the search it takes a tenth of the time.
+        Write the page of what a search found, too; that takes about a tenth of the search's time.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with lazy_client(workers) as client:
@@ -416,26 +415,42 @@ def _diagnose_span(
     *,
     save: bool = False,
     search: bool = False,
-    page: bool = False,
+    page: bool,
 ) -> dict[str, Any]:
     from inflight.tasks.analysis import Examined, diagnose_span, page_of_diagnosis, write_report
 
-    asked, progress, searched = span.as_text(), runner().progress, list[Examined]()
+    progress, searched = runner().progress, list[tuple[Examined, Mapping[str, Any]]]()
 
     def find(client: Client) -> dict[str, Any]:
+        def keep(examined: Examined, asked: Mapping[str, Any]) -> None:
+            searched.append((examined, asked))
+
         how: Any = {"save": save, "search": search, "client": client, "progress": progress}
-        return diagnose_span(place, *asked, settings, finished=searched.append if page else None, **how)
+        return diagnose_span(place, *span.as_text(), settings, finished=keep if page else None, **how)
 
     def draw() -> None:
-        # The verdict is kept and told where no page can be written, too.
-        with suppress(OSError):
-            output = page_of_diagnosis(place, settings.comparison, *asked)
-            write_report(place, output, searched[-1], *asked, progress)
+        output = page_of_diagnosis(place, settings.comparison, *span.as_text())
+        write_report(place, output, *searched[-1], progress)
 
     found = runner().run("search", find, client)
     if searched:
-        runner().run("page", draw)
+        # The verdict is kept, and told whatever becomes of its page.
+        try:
+            runner().run("page", draw)
+        except Exception as error:
+            found["problems"] = [_page_problem(error)]
     return found
+
+
+def _page_problem(error: Exception) -> dict[str, str]:
+    told = dict(error_fields(error))
+    if isinstance(error, OSError):
+        told |= {
+            "message": str(error),
+            "remedy": "give the workspace's reports room, then run inflight report",
+        }
+    message = f"the page of the diagnosis was not written: {told['message']}"
+    return problem("partial", message, remedy=told["remedy"])
 
 
 def _with_diagnosis(
@@ -449,7 +464,7 @@ def _with_diagnosis(
     asked = _to_diagnose(settings)
     try:
         found = diagnose_if_unchanged(place, None, None, asked)
-        found = found or _diagnose_span(place, DaySpan(), asked, client)
+        found = found or _diagnose_span(place, DaySpan(), asked, client, page=False)
     except InflightError as error:
         return replace(report, problems=[*report.problems, problem_of(error)])
     return replace(report, extra={**report.extra, "diagnosis": found})

@@ -28,6 +28,7 @@ from .report import (
     in_plain_words,
     location_of,
     print_report,
+    problem,
     problem_of,
     to_json,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "plan_release",
     "preflight_model",
     "print_report",
+    "problem",
     "problem_of",
     "reprocess",
     "result_of",

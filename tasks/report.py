@@ -291,6 +291,7 @@ class KeptPage(BaseModel):
     made_from: str
     page: Path
     page_sha256: str
+    _content: bytes = b""
 
     @classmethod
     def of(cls, path: Path, page: str, made_from: str, **others: Any) -> Self:
@@ -303,10 +304,10 @@ class KeptPage(BaseModel):
         """Return what `save` wrote; None without any, and where the page has gone or was changed by hand."""
         try:
             kept = cls.model_validate_json(path.read_bytes())
-            there = hashlib.sha256(kept.page.read_bytes()).hexdigest()
+            kept._content = kept.page.read_bytes()
         except (OSError, ValueError):
             return None
-        return kept if there == kept.page_sha256 else None
+        return kept if hashlib.sha256(kept._content).hexdigest() == kept.page_sha256 else None
 
     def save(self, path: Path) -> None:
         """Write it; a workspace that can only be read keeps nothing, nor is a path kept that is no UTF-8."""
@@ -314,6 +315,6 @@ class KeptPage(BaseModel):
             write_page(path, self.model_dump_json())
 
     def copy_to(self, output: Path) -> None:
-        """Write the page where it is asked for."""
+        """Write the page that was read where it is asked for."""
         if output.resolve() != self.page:
-            write_page(output, self.page.read_text(encoding="utf-8"))
+            write_page(output, self._content.decode("utf-8"))

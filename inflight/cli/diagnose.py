@@ -147,6 +147,8 @@ def _search(
     parameters: dict[str, Any] = {**span, **how, "settings": given, "save": save}
     report = run_flow(command, "diagnose", parameters, workers=workers, prefect=prefect)
     fields = {"command": report.command, "run": report.run, "context": report.context, **report.extra}
+    if report.problems:
+        fields["problems"] = report.problems
     command.emit(fields, lambda console: print_diagnosis(console, fields, details))
 
 
@@ -329,6 +331,8 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
         _print_details(console, fields)
     else:
         line("--details lists all coefficients and candidates; inflight report --open draws each entry")
+    for one in fields.get("problems", ()):
+        line(f"{one['message']}. What to do: {one['remedy']}")
     if step_text := _next_step(fields):
         line(step_text)
 

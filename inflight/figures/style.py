@@ -134,15 +134,15 @@ def _draw(plot: figure, glyph: type[Glyph], places: dict[str, Any], style: dict[
     """
     source, label = style.pop("source", None), style.pop("legend_label", "")
     named = {"name": style.pop("name")} if "name" in style else {}
-    if source is None:
-        columns = dict(places)
-        # Sizes of points, one each.
-        columns |= {key: style.pop(key) for key, one in list(style.items()) if isinstance(one, np.ndarray)}
-        source, places = ColumnDataSource(columns), {key: key for key in columns}
     for what in ("color", "alpha"):
         if what in style:
             value = style.pop(what)
             style = {f"{part}_{what}": value for part in _PARTS[glyph]} | style
+    if source is None:
+        # Of a list, a colour or size of each point.
+        columns = places | {key: one for key, one in style.items() if isinstance(one, np.ndarray | list)}
+        source = ColumnDataSource(columns)
+        style, places = style | {key: key for key in columns if key in style}, {key: key for key in places}
     renderer = plot.add_glyph(source, glyph(**places, **style), **named)
     if label:
         _name_in_legend(plot, renderer, label)

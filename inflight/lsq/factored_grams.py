@@ -663,13 +663,6 @@ class FactoredGrams:
             self, names=tuple(self.names[i] for i in kept), places=self.places[kept], scale=self.scale[kept]
         )
 
-    def forget_later_columns(self) -> None:
-        """Give back the room of columns that joined after these blocks were made.
-
-        Blocks that hold such columns must not be used any more.
-        """
-        self.shared.width = int(self.places.max()) + 1
-
     def merge(self, edges: Sequence[int]) -> GramArrays:
         """Return wider blocks; see `GramArrays.merge`."""
         return self.select(self.columns).merge(edges)

@@ -5,6 +5,7 @@ from .gram_pass import block_grams
 from .kept_comparison import compare_if_unchanged
 from .kept_diagnosis import (
     DiagnosisReport,
+    asked_of,
     diagnose_if_unchanged,
     last_diagnosis,
     page_of_diagnosis,
@@ -20,6 +21,7 @@ __all__ = [
     "Examined",
     "Revision",
     "Workbench",
+    "asked_of",
     "block_grams",
     "check_plumbing",
     "compare",

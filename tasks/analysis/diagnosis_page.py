@@ -76,7 +76,7 @@ from inflight.mission import Mission
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import Examined, examine
-from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, keep_page
+from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, asked_of, keep_report
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.report import write_page
 from inflight.time import SECOND, DayLike, to_utc
@@ -316,7 +316,7 @@ def report(
 ) -> DiagnosisReport:
     """Diagnose a span and write the page of it; Gram blocks that are there already are not made again.
 
-    Where that is the last diagnosis of the workspace, the page is kept: `report_if_unchanged` returns it.
+    The page is kept: `report_if_unchanged` returns it while it would be the same.
 
     Parameters
     ----------
@@ -334,25 +334,24 @@ def report(
     MissionError, ModelError, CatalogError, CalibrationError
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
+    asked = asked_of(cat, mission, start, end, settings or DiagnoseSettings())
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    first, last = (None if one is None else str(one) for one in (start, end))
-    return write_report(Workspace.open(cat.workspace), output, examined, first, last, progress or silent)
+    return write_report(Workspace.open(cat.workspace), output, examined, asked, progress or silent)
 
 
 def write_report(
     workspace: Workspace,
     output: Path,
     examined: Examined,
-    start: str | None,
-    end: str | None,
+    asked: Mapping[str, Any],
     progress: Progress = silent,
 ) -> DiagnosisReport:
-    """Write the page of a finished search, and keep it where that is the last diagnosis of the workspace.
+    """Write the page of a finished search, and keep of which search it is.
 
     Parameters
     ----------
-    start, end : str, optional
-        Of the span that was searched, as it was asked for.
+    asked : mapping
+        Of `inflight.tasks.analysis.asked_of`, before the search.
 
     Raises
     ------
@@ -361,8 +360,9 @@ def write_report(
     """
     page = diagnosis_page(*examined, progress)
     write_page(output, page)
-    keep_page(workspace, output, page, start, end, examined.settings)
-    return DiagnosisReport(examined.found.as_json(), output)
+    written = DiagnosisReport(examined.found.as_json(), output)
+    keep_report(workspace, written, page, asked)
+    return written
 
 
 def diagnosis_page(

@@ -25,9 +25,9 @@ from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.archive import ArchiveIndex, channel_needs, needs_of
 from inflight.tasks.models import current_model
 from inflight.tasks.report import KeptPage, to_json, write_page
+from inflight.time import DayLike
 
-#: What a diagnosis is computed by, and what draws its page beside.
-_DRAWN_BY = ("inflight.figures", "inflight.tasks")
+#: What a diagnosis is computed by.
 _SOFTWARE = (
     "inflight.calibration",
     "inflight.design",
@@ -42,6 +42,8 @@ _SOFTWARE = (
     "inflight.tasks.analysis",
     "inflight.tasks.archive",
 )
+#: What draws its page, beside these.
+_DRAWN_BY = ("inflight.figures", "inflight.tasks")
 
 
 def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
@@ -82,10 +84,23 @@ def diagnose_if_unchanged(
         return None
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
-    cat = Catalog(workspace.root)
-    if asked.get("made_from") != made_from(cat, mission, settings, archive_of(cat, mission, settings)):
+    now = asked_of(Catalog(workspace.root), mission, start, end, settings)
+    if asked.get("made_from") != now["made_from"]:
         return None
     return {**found, "unchanged": True}
+
+
+def asked_of(
+    cat: Catalog, mission: Mission, start: DayLike | None, end: DayLike | None, settings: DiagnoseSettings
+) -> dict[str, Any]:
+    """Return what is kept with a diagnosis: span, settings, and a hash of all that it is made from.
+
+    Taken before the search begins: what changes meanwhile makes the next one.
+    """
+    first, last = (None if one is None else str(one) for one in (start, end))
+    archive = archive_of(cat, mission, settings)
+    hashed = made_from(cat, mission, settings, archive, told_of_products(cat, mission, settings, first, last))
+    return {"start": first, "end": last, "settings": settings.model_dump(), "made_from": hashed}
 
 
 @dataclass(frozen=True)
@@ -112,37 +127,25 @@ def page_of_diagnosis(workspace: Workspace, comparison: str, start: str | None, 
     return workspace.reports / f"{'-'.join(['report', comparison, *filter(None, (start, end))])}.html"
 
 
-def keep_page(
-    workspace: Workspace,
-    path: Path,
-    page: str,
-    start: str | None,
-    end: str | None,
-    settings: DiagnoseSettings,
-) -> None:
-    """Keep that a page that was written shows the last diagnosis, where that is what was asked for.
+def keep_report(workspace: Workspace, report: DiagnosisReport, page: str, asked: Mapping[str, Any]) -> None:
+    """Keep what a page shows, and of which search it is.
 
     Parameters
     ----------
-    path, page : Path, str
-        Where, and its text.
-    start, end, settings
-        As of `diagnose_if_unchanged`.
+    page : str
+        The text of the page at `report.path`.
+    asked : mapping
+        Of `asked_of`, before that search.
     """
-    if diagnose_if_unchanged(workspace, start, end, settings) is None:
-        return
-    asked = (last_diagnosis(workspace, settings.comparison) or {})["asked"]
-    KeptPage.of(path, page, _drawn_from(asked)).save(_kept_page(workspace, settings.comparison))
+    fields = json.loads(to_json(report.fields))
+    kept = _KeptReport.of(report.path, page, _drawn_from(asked), fields=fields)
+    kept.save(_kept_report(workspace, asked))
 
 
 def report_if_unchanged(
-    workspace: Workspace,
-    output: Path,
-    start: str | None,
-    end: str | None,
-    settings: DiagnoseSettings,
+    workspace: Workspace, output: Path, start: str | None, end: str | None, settings: DiagnoseSettings
 ) -> DiagnosisReport | None:
-    """Return the page of the last diagnosis when that is still what `diagnose` would find, else None.
+    """Return the page that was written of a diagnosis when it would be the same now, else None.
 
     Parameters
     ----------
@@ -151,25 +154,32 @@ def report_if_unchanged(
     start, end, settings
         As of `diagnose_if_unchanged`.
     """
-    kept = KeptPage.read(_kept_page(workspace, settings.comparison))
+    named = {"start": start, "end": end, "settings": settings.model_dump()}
+    kept = _KeptReport.read(_kept_report(workspace, named))
     if kept is None:
         return None
-    found = diagnose_if_unchanged(workspace, start, end, settings)
-    asked = (last_diagnosis(workspace, settings.comparison) or {}).get("asked")
-    if found is None or asked is None or kept.made_from != _drawn_from(asked):
+    asked = asked_of(Catalog(workspace.root), workspace.mission(), start, end, settings)
+    if kept.made_from != _drawn_from(asked):
         return None
     kept.copy_to(output)
-    return DiagnosisReport(found, output)
+    return DiagnosisReport(kept.fields, output)
+
+
+class _KeptReport(KeptPage):
+    """What is kept of the page of a diagnosis; `fields` are those of `DiagnosisReport`."""
+
+    fields: dict[str, Any]
 
 
 def _drawn_from(asked: Mapping[str, Any]) -> str:
     """Return a hash of all that the page of a diagnosis is made from: what was asked, and what draws it."""
-    what = {name: asked.get(name) for name in ("start", "end", "settings", "made_from")}
+    what = {name: asked[name] for name in ("start", "end", "settings", "made_from")}
     return hashlib.sha256(json.dumps([what, hash_of_software(_DRAWN_BY)]).encode()).hexdigest()
 
 
-def _kept_page(workspace: Workspace, comparison: str) -> Path:
-    return workspace.reports / f"report-{comparison}.json"
+def _kept_report(workspace: Workspace, asked: Mapping[str, Any]) -> Path:
+    page = page_of_diagnosis(workspace, asked["settings"]["comparison"], asked["start"], asked["end"])
+    return page.with_suffix(".json")
 
 
 def asked_alike(
@@ -192,36 +202,45 @@ def made_from(
     mission: Mission,
     settings: DiagnoseSettings,
     archive: Sequence[Sequence[Any]],
+    products: Sequence[Any] = (),
     through: np.datetime64 | None = None,
 ) -> str:
-    """Return a hash of all that a diagnosis is made from but the span: archive, tables, model, software.
+    """Return a hash of all that a diagnosis is made from but the span: archive, model, products, software.
 
     Parameters
     ----------
     archive : list of list
         Of `archive_of`.
+    products : sequence
+        Of `told_of_products`; a search of the archive alone has none.
     through : datetime64[D], optional
-        Of the days up to this one, and of no tables: a day's calibration makes others.
+        Of the days up to this one.
     """
     used = current_model(cat, mission, settings.comparison)
-    tables = _tables_told_of(cat, mission, settings.comparison) if through is None else []
     there = [one for one in archive if through is None or one[1] <= str(through)]
+    own, taken = hashes_of_companions(cat, mission), used.model.taken_tables
     # Not its version: an undo makes another of an older text.
-    parts = [mission.text, used.model.name, used.text, settings.model_dump(), there, tables]
+    parts = [mission.text, own, used.model.name, used.text, taken, settings.model_dump(), there, *products]
     return hashlib.sha256(json.dumps([*parts, hash_of_software()], default=str).encode()).hexdigest()
 
 
-def _tables_told_of(cat: Catalog, mission: Mission, comparison: str) -> list[list[Any]]:
-    """Return the tables that a diagnosis may say something of: id, key, who certified each.
+def told_of_products(
+    cat: Catalog, mission: Mission, settings: DiagnoseSettings, start: DayLike | None, end: DayLike | None
+) -> list[Any]:
+    """Return what a diagnosis says of products, or what it is made from.
 
     Of a scalar comparison the search reads the archive alone, and what is told of products is whether they
-    follow a trend: without a table of all days they do not, whatever the tables of windows are.
+    follow a trend, for which there is a table of all days. Others tell of states and units, which are learnt.
     """
-    known = [one for one in cat.tables() if one.name.startswith(comparison)]
-    has_trend = any(one.name == f"{comparison}-continuous" for one in known)
-    if mission.comparisons[comparison].kind == "scalar" and not has_trend:
+    name = settings.comparison
+    if mission.comparisons[name].kind != "scalar":
+        tables = [[one.id, one.key, one.certified] for one in cat.tables() if one.name.startswith(name)]
+        return [*tables, cat.hash_of_days([one for one in cat.dataset_names() if one.startswith("l2/")])]
+    if not cat.tables(f"{name}-continuous"):
         return []
-    return [[one.id, one.key, one.certified] for one in known]
+    from inflight.tasks.pipelines import trend_of_products
+
+    return [trend_of_products(cat, name, current_model(cat, mission, name).version, start, end)]
 
 
 @cache

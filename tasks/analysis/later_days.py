@@ -25,7 +25,13 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.progress import Progress, tell_each
 from inflight.tasks.analysis.gram_pass import Origin, PassPlan, day_grams, survey
-from inflight.tasks.analysis.kept_diagnosis import archive_of, asked_alike, last_diagnosis, made_from
+from inflight.tasks.analysis.kept_diagnosis import (
+    archive_of,
+    asked_alike,
+    asked_of,
+    last_diagnosis,
+    made_from,
+)
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     INPUT_SETTINGS,
@@ -88,7 +94,7 @@ def standing_of(
         "variance": variance,
         "days": len(plan.days),
         "through": str(through),
-        "made_from": made_from(cat, mission, settings, archive_of(cat, mission, settings), through),
+        "made_from": made_from(cat, mission, settings, archive_of(cat, mission, settings), through=through),
         "numbers": {},
     }
 
@@ -133,8 +139,10 @@ def check_later_days(
     cat, mission = Catalog(workspace.root), workspace.mission()
     if standing is None:
         return None
+    # Before anything is read: what changes meanwhile makes another verdict.
+    asked = asked_of(cat, mission, start, end, settings)
     through, archive = np.datetime64(standing["through"]), archive_of(cat, mission, settings)
-    if made_from(cat, mission, settings, archive, through) != standing["made_from"]:
+    if made_from(cat, mission, settings, archive, through=through) != standing["made_from"]:
         return None
     model = _model_found(cat, mission, standing)
     days = _compared_and_later(cat, mission, model, through)
@@ -150,7 +158,7 @@ def check_later_days(
         if day > through:
             before = [numbers[str(one)] for one in days[place - LATER_DAYS_SETTINGS.compared : place]]
             reasons += [f"{day}: {why}" for why in why_different(numbers[str(day)], usual, before)]
-    found["asked"]["made_from"] = made_from(cat, mission, settings, archive)
+    found["asked"]["made_from"] = asked["made_from"]
     found["later_days"] = {
         "stands": not reasons,
         "reasons": reasons,

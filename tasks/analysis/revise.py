@@ -78,7 +78,7 @@ from inflight.tasks.analysis.diagnosis import (
     search_on_one_thread,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
-from inflight.tasks.analysis.kept_diagnosis import archive_of, last_diagnosis, made_from, save_diagnosis
+from inflight.tasks.analysis.kept_diagnosis import asked_of, last_diagnosis, save_diagnosis
 from inflight.tasks.analysis.later_days import check_later_days, note_compared_days, standing_of
 from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
@@ -996,16 +996,11 @@ class Workbench:
 
     # The search.
 
-    def diagnose(self) -> Diagnosis:
-        """Search what is missing from the present version; its Gram blocks are made when there are none."""
-        found = self.examine().found
-        # The next search lets its own columns join: what this one added would only be carried along.
-        for grams in (self.made.loaded.raw, self.made.loaded.white):
-            grams.forget_later_columns()
-        return found
-
     def examine(self) -> Examined:
-        """Search as `diagnose`, and return with the result what it was made from."""
+        """Search what is missing from the present version, and return with the result what it was made from.
+
+        Gram blocks are made when there are none.
+        """
         found, search, data = self._searched()
         model = self._model_found(search)
         if model is not None:
@@ -1172,7 +1167,7 @@ def diagnose_span(
     search: bool = False,
     client: Any = None,
     progress: Progress | None = None,
-    finished: Callable[[Examined], object] | None = None,
+    finished: Callable[[Examined, Mapping[str, Any]], object] | None = None,
 ) -> dict[str, Any]:
     """Diagnose a span, and keep the result in the workspace's reports.
 
@@ -1188,8 +1183,8 @@ def diagnose_span(
     search : bool
         Search though the last verdict may stand for the days since.
     finished : callable, optional
-        Called, once the result is kept, with the search and what it was made from; not where there was none,
-        nor when versions are saved.
+        Called after the result was kept with the search and what was asked (`asked_of`); not where there was
+        no search, nor when versions are saved.
 
     Returns
     -------
@@ -1213,9 +1208,9 @@ def diagnose_span(
     if stands is not None and stands["later_days"]["stands"]:
         save_diagnosis(workspace, stands, stands.pop("asked"))
         return stands
-    bench = Workbench(
-        Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
-    )
+    cat = Catalog(workspace.root)
+    asked = asked_of(cat, mission, start, end, settings)
+    bench = Workbench(cat, mission, start, end, settings, fresh=True, client=client, progress=progress)
     examined = None
     if save:
         found, steps = bench.auto()
@@ -1226,19 +1221,19 @@ def diagnose_span(
     units = bench.units()
     if units is not None:
         fields["units"] = units
-    asked: dict[str, Any] = {"start": start, "end": end, "settings": settings.model_dump()}
-    if not save:
-        archive = archive_of(bench.cat, mission, settings)
-        if bench.standing is not None:
-            # The diagnosis was asked for, and is there: what is wrong with a day is told with the next one.
-            with suppress(InflightError):
-                note_compared_days(bench.cat, mission, bench.standing, listener)
-        asked |= {"made_from": made_from(bench.cat, mission, settings, archive), "standing": bench.standing}
+    if save:
+        # It is of the model before the versions that were saved.
+        del asked["made_from"]
+    elif bench.standing is not None:
+        # The diagnosis was asked for, and is there: what is wrong with a day is told with the next one.
+        with suppress(InflightError):
+            note_compared_days(bench.cat, mission, bench.standing, listener)
+        asked["standing"] = bench.standing
     if stands is not None:
         fields["later_days"] = stands["later_days"]
     save_diagnosis(workspace, fields, asked)
     if finished is not None and examined is not None:
-        finished(examined)
+        finished(examined, asked)
     return fields
 
 

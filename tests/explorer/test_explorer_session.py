@@ -116,12 +116,14 @@ def test_figures_and_page_of_a_diagnosis_made_here_take_no_second_search(session
     other = ExplorerSession(workspace, workers=1)
     assert other.write_report("main", nobody).read_bytes() == whole
     assert searched == []
-    # What is held of a workbench takes its place.
+    # What is held of a workbench takes its place, and the other way round.
     session.preview("main", EFFECT, nobody)
+    assert session._searched is None
     assert [heading for heading, _, _ in session.figures_of_diagnosis("main", nobody)] == [
         heading for heading, _, _ in sections
     ]
     assert searched == [1]
+    assert session._bench is None
     other.close()
 
 

@@ -17,13 +17,15 @@ from inflight.catalog import Catalog, Workspace
 from inflight.cli.diagnose import print_diagnosis
 from inflight.errors import CatalogError
 from inflight.flows import launch, run_with_prefect, run_without_prefect
-from inflight.tasks import ModelHistory, analysis, ingest, reprocess, to_json
+from inflight.tasks import ModelHistory, analysis, ingest, pipelines, reprocess, to_json
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
     diagnose_if_unchanged,
     diagnose_span,
+    diagnosis_page,
     kept_comparison,
+    kept_diagnosis,
     later_days,
     report_if_unchanged,
     revise,
@@ -189,14 +191,40 @@ def test_what_was_added_and_undone_leaves_verdict_and_products_as_they_are(diagn
     assert ModelHistory(cat, mission).stale_contexts(name for _, name in cat.published("l2/field")) == set()
 
 
-def test_products_of_windows_leave_a_verdict_as_it_is_and_a_trend_does_not(diagnosed):
+def test_products_leave_a_verdict_as_it_is_unless_they_follow_a_trend(diagnosed, monkeypatch):
     workspace, _ = diagnosed
     cat, mission = Catalog(workspace.root), workspace.mission()
     assert reprocess(cat, mission).days["done"] == 4
     assert cat.tables("main-window")
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["unchanged"] is True
-    # It would be told that these follow the drift of the scale factors.
     assert reprocess(cat, mission, settings=ReprocessSettings(table="continuous")).days["done"] == 4
+    # A verdict tells of products with a trend that they follow it: of these, and not of what was before.
+    monkeypatch.setattr(pipelines, "trend_of_products", lambda *given: "linear")
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+    monkeypatch.setattr(pipelines, "trend_of_products", lambda *given: "")
+    diagnose_span(workspace)
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["unchanged"] is True
+    monkeypatch.setattr(pipelines, "trend_of_products", lambda *given: "linear")
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+def test_what_changes_while_it_is_searched_is_work(diagnosed, monkeypatch):
+    workspace, _ = diagnosed
+    own = revise.search_on_one_thread
+
+    def meanwhile(*given):
+        deliver_heated_day(workspace.data, "2024-03-05", heater_field)
+        ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
+        return own(*given)
+
+    monkeypatch.setattr(revise, "search_on_one_thread", meanwhile)
+    diagnose_span(workspace, search=True)
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+def test_a_file_that_the_mission_names_is_part_of_what_a_verdict_is_made_from(diagnosed, monkeypatch):
+    workspace, _ = diagnosed
+    monkeypatch.setattr(kept_diagnosis, "hashes_of_companions", lambda *given: ["another"])
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
 
 
@@ -223,7 +251,7 @@ def test_the_page_of_a_diagnosis_is_written_with_it_and_given_again(drawn, tmp_p
     both = [re.sub(rb'"p\d+"', b'"p"', one.read_bytes()) for one in (made.path, page)]
     assert both[0] == both[1]
     assert told == json.loads(to_json(made.as_json() | {"path": str(page)}))
-    # Which is kept, then, as the page of the same diagnosis.
+    # Which is kept, then.
     page.unlink()
     assert again().path.read_bytes() == made.path.read_bytes()
 
@@ -236,15 +264,27 @@ def test_a_page_that_shows_something_else_is_not_given_again(drawn):
     page.write_bytes(whole + b"<!-- a note -->")
     assert again() is None
     page.write_bytes(whole)
-    assert again() is not None
+    # That other days were diagnosed since does not matter to it, but another model does.
     diagnose_span(workspace, "2024-03-02")
-    assert again() is None
-    diagnose_span(workspace)
+    assert again() is not None
     Workbench(Catalog(workspace.root), workspace.mission()).add("channel_field(heater_current)")
     assert again() is None
 
 
-def test_no_page_is_written_where_none_is_asked_for_or_there_is_no_place(diagnosed, monkeypatch):
+def test_a_verdict_that_stands_for_a_later_day_has_no_page_of_it(drawn, monkeypatch):
+    workspace, again = drawn
+    with_later_day(workspace, heater_field, monkeypatch)
+    assert diagnose_span(workspace)["later_days"]["stands"]
+    assert again() is None
+    # Page and fields are of one search, of all days.
+    made = analysis.report(
+        Catalog(workspace.root), workspace.mission(), workspace.reports / "report-main.html"
+    )
+    assert again().as_json() == json.loads(to_json(made.as_json()))
+    assert again().fields["blocks"]["end"].startswith("2024-03-06")
+
+
+def test_a_page_that_cannot_be_written_is_told_beside_the_verdict(diagnosed, monkeypatch):
     workspace, found = diagnosed
     run_without_prefect("diagnose", workspace, {"search": True, "page": False}, workers=1)
     assert not (workspace.reports / "report-main.html").exists()
@@ -252,10 +292,16 @@ def test_no_page_is_written_where_none_is_asked_for_or_there_is_no_place(diagnos
     def full(*given):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(analysis.diagnosis_page, "write_page", full)
+    monkeypatch.setattr(diagnosis_page, "write_page", full)
     report = run_without_prefect("diagnose", workspace, {"search": True}, workers=1)
     assert report.extra["verdict"] == found["verdict"]
+    assert "the page of the diagnosis was not written: " in report.problems[0]["message"]
+    assert "No space left on device" in report.problems[0]["message"]
+    assert report.exit_code == 0
     assert not (workspace.reports / "report-main.html").exists()
+    text = StringIO()
+    print_diagnosis(Console(file=text, width=200), report.as_json())
+    assert "No space left on device. What to do: give the workspace's reports room" in text.getvalue()
 
 
 def with_later_day(workspace, hidden, monkeypatch):
