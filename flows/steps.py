@@ -447,7 +447,7 @@ def _page_problem(error: Exception) -> dict[str, str]:
     if isinstance(error, OSError):
         told |= {
             "message": str(error),
-            "remedy": "give the workspace's reports room, then run inflight report",
+            "remedy": "make room in reports, then run inflight report",
         }
     message = f"the page of the diagnosis was not written: {told['message']}"
     return problem("partial", message, remedy=told["remedy"])

@@ -301,7 +301,7 @@ def test_a_page_that_cannot_be_written_is_told_beside_the_verdict(diagnosed, mon
     assert not (workspace.reports / "report-main.html").exists()
     text = StringIO()
     print_diagnosis(Console(file=text, width=200), report.as_json())
-    assert "No space left on device. What to do: give the workspace's reports room" in text.getvalue()
+    assert "No space left on device. What to do: make room in reports" in text.getvalue()
 
 
 def with_later_day(workspace, hidden, monkeypatch):
