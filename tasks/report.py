@@ -7,17 +7,13 @@ them, what went wrong and what to do about it, where the outputs are. `exit_code
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
-
-from pydantic import BaseModel
+from typing import TYPE_CHECKING, Any
 
 from inflight.errors import InflightError, SettingsError
 
@@ -283,38 +279,3 @@ def write_page(output: Path, page: str) -> None:
     except OSError:
         unfinished.unlink(missing_ok=True)
         raise
-
-
-class KeptPage(BaseModel):
-    """A page that was written, with a hash of what it was made from: given again while that is the same."""
-
-    made_from: str
-    page: Path
-    page_sha256: str
-    _content: bytes = b""
-
-    @classmethod
-    def of(cls, path: Path, page: str, made_from: str, **others: Any) -> Self:
-        """Return what is kept of a page at a path; `others` are fields of a class of its own."""
-        sha256 = hashlib.sha256(page.encode("utf-8")).hexdigest()
-        return cls(made_from=made_from, page=path.resolve(), page_sha256=sha256, **others)
-
-    @classmethod
-    def read(cls, path: Path) -> Self | None:
-        """Return what `save` wrote; None without any, and where the page has gone or was changed by hand."""
-        try:
-            kept = cls.model_validate_json(path.read_bytes())
-            kept._content = kept.page.read_bytes()
-        except (OSError, ValueError):
-            return None
-        return kept if hashlib.sha256(kept._content).hexdigest() == kept.page_sha256 else None
-
-    def save(self, path: Path) -> None:
-        """Write it; a workspace that can only be read keeps nothing, nor is a path kept that is no UTF-8."""
-        with suppress(OSError, ValueError):
-            write_page(path, self.model_dump_json())
-
-    def copy_to(self, output: Path) -> None:
-        """Write the page that was read where it is asked for."""
-        if output.resolve() != self.page:
-            write_page(output, self._content.decode("utf-8"))

@@ -18,9 +18,10 @@ from inflight.catalog import Catalog
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.tasks.analysis.kept_diagnosis import hash_of_software, hashes_of_companions
+from inflight.tasks.analysis.kept_page import KeptPage
 from inflight.tasks.pipelines import Report, pipeline_of
 from inflight.tasks.pipelines.base import TextLine
-from inflight.tasks.report import KeptPage, to_json
+from inflight.tasks.report import to_json
 from inflight.time import DayLike
 
 #: What a comparison is computed and drawn by, beside the package of its pipeline.

@@ -21,10 +21,11 @@ import numpy as np
 
 from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
+from inflight.tasks.analysis.kept_page import KeptPage
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.archive import ArchiveIndex, channel_needs, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.report import KeptPage, to_json, write_page
+from inflight.tasks.report import to_json, write_page
 from inflight.time import DayLike
 
 #: What a diagnosis is computed by.
