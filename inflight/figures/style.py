@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
+from bokeh.core.properties import value as literal
 from bokeh.models import (
     ColumnDataSource,
     FixedTicker,
@@ -136,8 +136,8 @@ def _draw(plot: figure, glyph: type[Glyph], places: dict[str, Any], style: dict[
     named = {"name": style.pop("name")} if "name" in style else {}
     for what in ("color", "alpha"):
         if what in style:
-            value = style.pop(what)
-            style = {f"{part}_{what}": value for part in _PARTS[glyph]} | style
+            given = style.pop(what)
+            style = {f"{part}_{what}": given for part in _PARTS[glyph]} | style
     if source is None:
         # Of a list, a colour or size of each point.
         columns = places | {key: one for key, one in style.items() if isinstance(one, np.ndarray | list)}
@@ -166,10 +166,10 @@ def _name_in_legend(plot: figure, renderer: GlyphRenderer, label: str) -> None:
         legend = Legend()
         plot.add_layout(legend)
     for item in legend.items:
-        if item.label == value(label):
+        if item.label == literal(label):
             item.renderers.append(renderer)
             return
-    legend.items.append(LegendItem(label=value(label), renderers=[renderer]))
+    legend.items.append(LegendItem(label=literal(label), renderers=[renderer]))
 
 
 def error_band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
