@@ -274,12 +274,12 @@ def imitations(search: Search, found: Diagnosis) -> Section:
     talk = cross_talk(search)
     if not talk.names:
         return "What stands for what", [], []
+    # A search has them in the order they were taken, its result the largest first.
+    options = {option.name: option for option in search.accepted}
     shifts = [
         shift
-        for option, one, fields in zip(
-            search.accepted, found.effects, found.as_json()["effects"], strict=True
-        )
-        for shift in calibration_biases(search, option, one.coefficients)
+        for one, fields in zip(found.effects, found.as_json()["effects"], strict=True)
+        for shift in calibration_biases(search, options[one.name], one.coefficients)
         if shift.coefficient in {value["name"] for value in most_significant(fields["coefficients"])}
     ]
     text: list[str] = [

@@ -39,8 +39,9 @@ from inflight.dual import JumpAttribution
 from inflight.errors import CatalogError
 from inflight.tasks import current_model
 from inflight.tasks.analysis import DiagnoseSettings, report
+from inflight.tasks.analysis import diagnosis_page as diagnosis_page_module
 from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
-from inflight.tasks.analysis.diagnosis_page import diagnosis_page, unit_figures
+from inflight.tasks.analysis.diagnosis_page import diagnosis_page, imitations, unit_figures
 from inflight.tasks.archive import ingest
 from inflight.time import DAY, SECOND, day_bounds
 
@@ -354,6 +355,22 @@ def test_a_shift_is_straight_in_the_coefficient(searched):
     twice = calibration_biases(search, option, [replace(one, value=2.0 * one.value) for one in values])
     for one, other in zip(once, twice, strict=True):
         assert {name: 2.0 * by for name, by in one.shifts.items()} == pytest.approx(other.shifts)
+
+
+def test_shifts_are_those_of_the_effect_whose_coefficients_they_are(searched, monkeypatch):
+    search, _, found = searched
+    (taken,), (effect,) = search.accepted, found.effects
+    # A second one of fewer columns is taken later and, the larger of the two, told first.
+    other = next(one for one in search.options if len(one.columns) == 1 and one.change is None)
+    second = replace(effect, name=other.name, coefficients=effect.coefficients[:1])
+    both, asked = search.with_accepted([taken, other]), []
+    monkeypatch.setattr(
+        diagnosis_page_module,
+        "calibration_biases",
+        lambda search, option, values: asked.append((option.name, len(values))) or [],
+    )
+    imitations(both, replace(found, effects=(second, effect)))
+    assert asked == [(other.name, 1), (taken.name, len(effect.coefficients))]
 
 
 def test_a_trial_of_what_was_taken_has_its_value(searched):
