@@ -996,11 +996,12 @@ class Workbench:
 
     # The search.
 
-    def examine(self) -> Examined:
-        """Search what is missing from the present version, and return with the result what it was made from.
+    def diagnose(self) -> Diagnosis:
+        """Search what is missing from the present version; its Gram blocks are made when there are none."""
+        return self.examine().found
 
-        Gram blocks are made when there are none.
-        """
+    def examine(self) -> Examined:
+        """Search as `diagnose`, and return with the result what it was made from."""
         found, search, data = self._searched()
         model = self._model_found(search)
         if model is not None:

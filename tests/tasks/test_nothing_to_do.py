@@ -171,7 +171,9 @@ def test_other_settings_another_span_and_another_model_are_work(diagnosed):
     workspace, found = diagnosed
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings(rounds=1)) is None
     assert diagnose_if_unchanged(workspace, "2024-03-01", None, DiagnoseSettings()) is None
-    Workbench(Catalog(workspace.root), workspace.mission()).add(found["effects"][0]["name"])
+    bench = Workbench(Catalog(workspace.root), workspace.mission())
+    assert bench.diagnose().verdict == found["verdict"]
+    bench.add(found["effects"][0]["name"])
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
 
 
