@@ -339,12 +339,12 @@ class ExplorerSession:
         SettingsError, InflightError
             As `inflight.tasks.analysis.revise.diagnose_span`.
         """
+        # Before any of its files of Python are run.
+        self.mission()
         settings, span = _settings(self._last_request(comparison), comparison), days.bounds()
         self._bench = self._searched = None
         with lazy_client(self.workers) as client:
             how: Any = {"client": client, "progress": progress, "finished": self._keep_search}
-            # Before any of its files of Python are run.
-            self.mission()
             found = diagnose_span(self.workspace, *span, settings, **how)
         return found | {"asked": {"start": span[0], "end": span[1], "settings": settings.model_dump()}}
 
@@ -373,8 +373,7 @@ class ExplorerSession:
 
     def _keep_search(self, found: Examined, asked: Mapping[str, Any]) -> None:
         """Keep a search, some hundred megabytes, and what was asked."""
-        names = ("start", "end", "settings", "made_from")
-        self._searched = found, {name: asked[name] for name in names}
+        self._searched = found, asked
 
     def write_report(self, comparison: str, progress: Progress) -> Path:
         """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.

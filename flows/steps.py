@@ -421,10 +421,10 @@ def _diagnose_span(
 
     progress, searched = runner().progress, list[tuple[Examined, Mapping[str, Any]]]()
 
-    def find(client: Client) -> dict[str, Any]:
-        def keep(examined: Examined, asked: Mapping[str, Any]) -> None:
-            searched.append((examined, asked))
+    def keep(examined: Examined, asked: Mapping[str, Any]) -> None:
+        searched.append((examined, asked))
 
+    def find(client: Client) -> dict[str, Any]:
         how: Any = {"save": save, "search": search, "client": client, "progress": progress}
         return diagnose_span(place, *span.as_text(), settings, finished=keep if page else None, **how)
 
@@ -445,10 +445,7 @@ def _diagnose_span(
 def _page_problem(error: Exception) -> dict[str, str]:
     told = dict(error_fields(error))
     if isinstance(error, OSError):
-        told |= {
-            "message": str(error),
-            "remedy": "make room in reports, then run inflight report",
-        }
+        told |= {"message": str(error), "remedy": "make room in reports, then run inflight report"}
     message = f"the page of the diagnosis was not written: {told['message']}"
     return problem("partial", message, remedy=told["remedy"])
 

@@ -258,10 +258,7 @@ def stack_figures(found: EpochStack, unit_of: str = "solar current") -> list[fig
     reach = Range1d(float(found.lag[0]) - 3.0, float(found.lag[-1]) + 3.0)
     title = f"Residual around {found.epochs} steps on {found.days} days"
     upper = plain_figure(title, "s after the step", "dB less drift (nT)", x_range=reach, width=_WIDE)
-    source = ColumnDataSource({"x": found.lag, "low": found.low, "high": found.high})
-    draw_area(
-        upper, "x", "low", "high", source=source, color=AFTER, alpha=0.22, legend_label="68 % over days"
-    )
+    draw_area(upper, found.lag, found.low, found.high, color=AFTER, alpha=0.22, legend_label="68 % over days")
     draw_line(upper, found.lag, found.residual, color=AFTER, line_width=2, legend_label="mean residual")
     lower = plain_figure(
         f"Mean {unit_of}", "s after the step", "change (A)", x_range=reach, width=_WIDE, height=190

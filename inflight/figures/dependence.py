@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, Span
+from bokeh.models import BoxAnnotation, Span
 from bokeh.plotting import figure
 
 from inflight.figures.style import (
@@ -193,9 +193,8 @@ def response_figures(found: FieldResponse) -> list[figure]:
         plot.toolbar.autohide = True
         known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
         if known.sum() > 1:
-            ends = {"x": found.centre, "low": found.low[axis], "high": found.high[axis]}
-            source = ColumnDataSource({key: values[known] for key, values in ends.items()})
-            draw_area(plot, x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
+            ends = (found.centre[known], found.low[axis][known], found.high[axis][known])
+            draw_area(plot, *ends, color=_CHANCE, alpha=0.35)
         for branch, parts in found.branches.items():
             if branch == "after":
                 continue

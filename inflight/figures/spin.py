@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from bokeh.layouts import gridplot
-from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Range1d, Span
+from bokeh.models import ColorBar, LinearColorMapper, Range1d, Span
 from bokeh.palettes import RdBu11
 from bokeh.plotting import figure
 
@@ -352,8 +352,7 @@ def uncertainty_figure(selection: SubintervalEstimates) -> Any:
         )
         known = np.isfinite(uncertainty) & (uncertainty > 0.0)
         for which, colour in ((known & ~chosen, BEFORE), (known & chosen, HIGHLIGHT)):
-            source = ColumnDataSource({"x": hours[which], "y": uncertainty[which]})
-            draw_points(plot, "x", "y", source=source, color=colour, size=3)
+            draw_points(plot, hours[which], uncertainty[which], color=colour, size=3)
         panels.append(plot)
     return gridplot([[panel] for panel in panels], toolbar_location="above", merge_tools=True)
 

@@ -139,11 +139,12 @@ def _draw(plot: figure, glyph: type[Glyph], places: dict[str, Any], style: dict[
             given = style.pop(what)
             style = {f"{part}_{what}": given for part in _PARTS[glyph]} | style
     if source is None:
-        # Of a list, a colour or size of each point.
-        columns = places | {key: one for key, one in style.items() if isinstance(one, np.ndarray | list)}
-        source = ColumnDataSource(columns)
-        style, places = style | {key: key for key in columns if key in style}, {key: key for key in places}
-    renderer = plot.add_glyph(source, glyph(**places, **style), **named)
+        # Of a list, a colour or size of each point. What is given twice is on the page once.
+        each = places | {key: one for key, one in style.items() if isinstance(one, np.ndarray | list)}
+        first = {id(one): key for key, one in reversed(each.items())}
+        source = ColumnDataSource({key: each[key] for key in first.values()})
+        places = {key: first[id(one)] for key, one in each.items()}
+    renderer = plot.add_glyph(source, glyph(**style | places), **named)
     if label:
         _name_in_legend(plot, renderer, label)
     return renderer

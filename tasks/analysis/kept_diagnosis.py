@@ -2,7 +2,8 @@
 
 Takes what `diagnose_span` found; writes it whole into the workspace's reports. A diagnosis is a function
 of the archive, the mission, the model, the settings and the software: `made_from` is a hash of all of
-these, and `diagnose_if_unchanged` returns the last answer when it is the same. It reads no samples.
+these, and `diagnose_if_unchanged` returns the last answer when it is the same. So is its page, which
+`report_if_unchanged` returns. It reads no samples.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def asked_of(
     """
     first, last = (None if one is None else str(one) for one in (start, end))
     archive = archive_of(cat, mission, settings)
-    hashed = made_from(cat, mission, settings, archive, told_of_products(cat, mission, settings, first, last))
+    hashed = made_from(cat, mission, settings, archive, product_inputs(cat, mission, settings, first, last))
     return {"start": first, "end": last, "settings": settings.model_dump(), "made_from": hashed}
 
 
@@ -174,8 +175,7 @@ class _KeptReport(KeptPage):
 
 def _drawn_from(asked: Mapping[str, Any]) -> str:
     """Return a hash of all that the page of a diagnosis is made from: what was asked, and what draws it."""
-    what = {name: asked[name] for name in ("start", "end", "settings", "made_from")}
-    return hashlib.sha256(json.dumps([what, hash_of_software(_DRAWN_BY)]).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([asked, hash_of_software(_DRAWN_BY)]).encode()).hexdigest()
 
 
 def _kept_report(workspace: Workspace, asked: Mapping[str, Any]) -> Path:
@@ -213,7 +213,7 @@ def made_from(
     archive : list of list
         Of `archive_of`.
     products : sequence
-        Of `told_of_products`; a search of the archive alone has none.
+        Of `product_inputs`; a search of the archive alone has none.
     through : datetime64[D], optional
         Of the days up to this one.
     """
@@ -225,10 +225,10 @@ def made_from(
     return hashlib.sha256(json.dumps([*parts, hash_of_software()], default=str).encode()).hexdigest()
 
 
-def told_of_products(
+def product_inputs(
     cat: Catalog, mission: Mission, settings: DiagnoseSettings, start: DayLike | None, end: DayLike | None
 ) -> list[Any]:
-    """Return what a diagnosis says of products, or what it is made from.
+    """Return what of products and their tables a diagnosis is made from.
 
     Of a scalar comparison the search reads the archive alone, and what is told of products is whether they
     follow a trend, for which there is a table of all days. Others tell of states and units, which are learnt.

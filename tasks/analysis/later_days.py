@@ -28,9 +28,9 @@ from inflight.tasks.analysis.gram_pass import Origin, PassPlan, day_grams, surve
 from inflight.tasks.analysis.kept_diagnosis import (
     archive_of,
     asked_alike,
-    asked_of,
     last_diagnosis,
     made_from,
+    product_inputs,
 )
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
@@ -139,8 +139,6 @@ def check_later_days(
     cat, mission = Catalog(workspace.root), workspace.mission()
     if standing is None:
         return None
-    # Before anything is read: what changes meanwhile makes another verdict.
-    asked = asked_of(cat, mission, start, end, settings)
     through, archive = np.datetime64(standing["through"]), archive_of(cat, mission, settings)
     if made_from(cat, mission, settings, archive, through=through) != standing["made_from"]:
         return None
@@ -151,6 +149,8 @@ def check_later_days(
         return None
     if len(days) - len(later) < LATER_DAYS_SETTINGS.compared:
         return None
+    # Before the days are read, as the archive: what changes meanwhile makes another verdict.
+    products = product_inputs(cat, mission, settings, start, end)
     numbers = _numbers_of_days(cat, mission, model, standing, days, progress)
     usual = [numbers[str(day)] for day in days if day <= through]
     reasons = []
@@ -158,7 +158,7 @@ def check_later_days(
         if day > through:
             before = [numbers[str(one)] for one in days[place - LATER_DAYS_SETTINGS.compared : place]]
             reasons += [f"{day}: {why}" for why in why_different(numbers[str(day)], usual, before)]
-    found["asked"]["made_from"] = asked["made_from"]
+    found["asked"]["made_from"] = made_from(cat, mission, settings, archive, products)
     found["later_days"] = {
         "stands": not reasons,
         "reasons": reasons,

@@ -1222,17 +1222,18 @@ def diagnose_span(
     units = bench.units()
     if units is not None:
         fields["units"] = units
+    kept = dict(asked)
     if save:
         # It is of the model before the versions that were saved.
-        del asked["made_from"]
+        del kept["made_from"]
     elif bench.standing is not None:
         # The diagnosis was asked for, and is there: what is wrong with a day is told with the next one.
         with suppress(InflightError):
             note_compared_days(bench.cat, mission, bench.standing, listener)
-        asked["standing"] = bench.standing
+        kept["standing"] = bench.standing
     if stands is not None:
         fields["later_days"] = stands["later_days"]
-    save_diagnosis(workspace, fields, asked)
+    save_diagnosis(workspace, fields, kept)
     if finished is not None and examined is not None:
         finished(examined, asked)
     return fields
