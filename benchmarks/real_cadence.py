@@ -27,8 +27,7 @@ from inflight.diagnosis.result import LEFT
 from inflight.errors import InflightError, ReadError
 from inflight.mission import Mission
 from inflight.samples import Series, align
-from inflight.tasks.analysis import DiagnoseSettings
-from inflight.tasks.analysis.diagnosis import examine
+from inflight.tasks.analysis import DiagnoseSettings, Workbench
 from inflight.tasks.archive import ArchiveIndex, Need, base_role, channel_needs, channel_series, ingest
 from inflight.time import SECOND
 
@@ -162,7 +161,7 @@ def _said(
     settings = DiagnoseSettings(comparison=record.comparison, cadence_s=cadence_s)
     said = Said(record=record.name, variant=variant, cadence_s=cadence_s or np.nan)
     try:
-        made = examine(cat, mission, *record.days, settings)
+        made = Workbench(cat, mission, *record.days, settings, fresh=True).examine()
     except InflightError as error:
         return replace(said, problem=str(error))
     return replace(said, found=made.found, cadence_s=made.data.cadence_s)

@@ -128,7 +128,7 @@ def main(folder: str) -> None:
         page.write_text(fall_page(workspace), encoding="utf-8")
         screenshot(page, images / "demo.png", 1190, 470)
         page = Path(scratch) / "report.html"
-        report(Catalog(workspace.root), workspace.mission(), page)
+        report(workspace, page)
         screenshot(page, images / "report.png", 1240, 1420)
 
 

@@ -38,7 +38,6 @@ from inflight.tasks.analysis import (
     asked_of,
     diagnose_span,
     diagnosis_sections,
-    examine,
     last_diagnosis,
     measure_comparison,
     open_workbench,
@@ -366,8 +365,8 @@ class ExplorerSession:
             # Gram blocks of a search and of a workbench are not held together.
             self._bench = self._searched = None
             with lazy_client(self.workers) as client:
-                how: Any = {"client": client, "progress": progress}
-                self._keep_search(examine(self.cat, mission, *span, settings, **how), asked)
+                how: Any = {"client": client, "progress": progress, "finished": self._keep_search}
+                diagnose_span(self.workspace, *span, settings, search=True, **how)
         assert self._searched is not None
         return self._searched
 

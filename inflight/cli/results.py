@@ -385,15 +385,17 @@ def report(
     settings = DiagnoseSettings.model_validate(last.get("settings") or {"comparison": name})
     if not any(span):
         span = last.get("start"), last.get("end")
-    page = _page_path(output or page_of_diagnosis(workspace, name, *span))
+    # The page of the last search is opened where it lies, though nothing can be written there.
+    page = _page_path(output) if output else page_of_diagnosis(workspace, name, *span)
     written = report_if_unchanged(workspace, page, *span, settings)
     if written is None:
+        page = _page_path(page)
         from inflight.flows import lazy_client
         from inflight.tasks.analysis import report as diagnose_and_report
 
         with command.progress() as progress, lazy_client(workers) as client:
             how: Any = {"client": client, "progress": progress}
-            written = diagnose_and_report(command.open_catalog(), mission, page, *span, settings, **how)
+            written = diagnose_and_report(workspace, page, *span, settings, **how)
     fields = written.as_json()
 
     def show_report(console: Console) -> None:

@@ -1,5 +1,5 @@
 from .comparing import compare, measure_comparison
-from .diagnosis import Examined, diagnose, examine
+from .diagnosis import Examined, diagnose
 from .diagnosis_page import diagnosis_sections, report, write_report
 from .gram_pass import block_grams
 from .kept_comparison import compare_if_unchanged
@@ -30,7 +30,6 @@ __all__ = [
     "diagnose_if_unchanged",
     "diagnose_span",
     "diagnosis_sections",
-    "examine",
     "last_diagnosis",
     "measure_comparison",
     "open_workbench",

@@ -1,9 +1,9 @@
 """Which physical effect is missing: plan, pass, search, verdict.
 
-Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`), or with it everything its page shows
-(`examine`, the one set-up of both). The steps are `plan_pass` (survey the span, linearise the model, decide
-what is tried), `make_pass` (make or find the Gram blocks), `begin_search` and `diagnosis_data` (what
-`inflight.diagnosis.run_search` takes).
+Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`). The steps are `plan_pass` (survey
+the span, linearise the model, decide what is tried), `make_pass` (make or find the Gram blocks),
+`begin_search` and `diagnosis_data` (what `inflight.diagnosis.run_search` takes). Who keeps what was found, or
+draws it, takes the same steps with a workbench (`inflight.tasks.analysis.revise`).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from inflight.tasks.archive import (
 )
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.models import VersionedModel, current_model
-from inflight.tasks.pipelines import learns_states, spacecraft_units_of, trend_of_products
+from inflight.tasks.pipelines import learns_states, trend_of_products
 from inflight.threads import one_thread
 from inflight.time import DAY, SECOND, DayLike, day_bounds
 
@@ -98,7 +98,7 @@ def diagnose(
     client: Any = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find out which physical effect is missing from a mission's present model.
+    """Find out which physical effect is missing from a mission's present model; nothing of it is kept.
 
     Parameters
     ----------
@@ -114,7 +114,18 @@ def diagnose(
     MissionError, ModelError, CatalogError, CalibrationError
         When there is nothing to work on, or the model does not fit the mission.
     """
-    return examine(cat, mission, start, end, settings, client=client, progress=progress).found
+    settings = settings or DiagnoseSettings()
+    report_progress = progress or silent
+    faults = faults_of(cat, mission, start, end, settings.comparison)
+    with faults_in_errors(faults):
+        made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
+    search, data = begin_search(made, settings), diagnosis_data(made, mission)
+    native = native_estimator(cat, mission, made, settings, client, report_progress)
+    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
+    del made
+    found, _ = search_on_one_thread(search, data, native, report_progress)
+    trend = trend_of_products(cat, settings.comparison, data.model.version, start, end)
+    return found.after_plumbing(faults).with_products(trend)
 
 
 class Examined(NamedTuple):
@@ -126,47 +137,6 @@ class Examined(NamedTuple):
     settings: DiagnoseSettings
     #: Further lines of the page's ledger.
     facts: Mapping[str, Any]
-
-
-def examine(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
-    settings: DiagnoseSettings | None = None,
-    *,
-    client: Any = None,
-    progress: Progress | None = None,
-) -> Examined:
-    """Diagnose a span and return with the result what it was made from; arguments are those of `diagnose`."""
-    settings = settings or DiagnoseSettings()
-    report_progress = progress or silent
-    faults = faults_of(cat, mission, start, end, settings.comparison)
-    with faults_in_errors(faults):
-        made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    search, data = begin_search(made, settings), diagnosis_data(made, mission)
-    facts = facts_of(made, spacecraft_units_of(cat, mission, settings.comparison, start, end))
-    native = native_estimator(cat, mission, made, settings, client, report_progress)
-    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
-    del made
-    found, search = search_on_one_thread(search, data, native, report_progress)
-    trend = trend_of_products(cat, settings.comparison, data.model.version, start, end)
-    return Examined(search, data, found.after_plumbing(faults).with_products(trend), settings, facts)
-
-
-def facts_of(made: PassResult, units: Sequence[Mapping[str, Any]] | None) -> dict[str, Any]:
-    """Return further lines of a page's ledger.
-
-    Parameters
-    ----------
-    units : sequence of mapping, optional
-        Of `spacecraft_units_of`.
-    """
-    return {
-        "evidence key": made.plan.key,
-        "days that failed": len(made.failed) or None,
-        "units that switch": "; ".join(one["sentence"] for one in units) if units else None,
-    }
 
 
 def make_pass(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from inflight import __version__
-from inflight.catalog import Catalog, Workspace
+from inflight.catalog import Workspace
 from inflight.diagnosis import (
     BeforeAfter,
     Diagnosis,
@@ -72,14 +72,14 @@ from inflight.figures import (
     verdict_strip,
     waterfall_figure,
 )
-from inflight.mission import Mission
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import drawn_periods, fold_by_period, format_period
-from inflight.tasks.analysis.diagnosis import Examined, examine
-from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, asked_of, keep_report
+from inflight.tasks.analysis.diagnosis import Examined
+from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, keep_report
+from inflight.tasks.analysis.revise import diagnose_span
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.report import write_page
-from inflight.time import SECOND, DayLike, to_utc
+from inflight.time import SECOND, to_utc
 
 #: Channels whose response is drawn, other than those of found effects; and found effects drawn one by one.
 _CHANNELS, _EFFECTS = 6, 6
@@ -304,39 +304,42 @@ def imitations(search: Search, found: Diagnosis) -> Section:
 
 
 def report(
-    cat: Catalog,
-    mission: Mission,
+    workspace: Workspace,
     output: Path,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
+    start: str | None = None,
+    end: str | None = None,
     settings: DiagnoseSettings | None = None,
     *,
     client: Any = None,
     progress: Progress | None = None,
 ) -> DiagnosisReport:
-    """Diagnose a span and write the page of it; Gram blocks that are there already are not made again.
+    """Diagnose a span as `diagnose_span` does, and write the page of it.
 
-    The page is kept: `report_if_unchanged` returns it while it would be the same.
+    Verdict and page are kept: `diagnose_if_unchanged` and `report_if_unchanged` return them while they would
+    be the same. Gram blocks that are there already are not made again.
 
     Parameters
     ----------
     output : Path
         Where the page goes; written whole, by one rename.
-    start, end : UTC date, optional
-        Half-open span of days; the whole archive when absent.
-    client : distributed.Client, optional
-        The pass runs on it.
-    progress : callable, optional
-        Called with (stage, done, total).
+    start, end, settings, client, progress
+        As of `diagnose_span`.
 
     Raises
     ------
-    MissionError, ModelError, CatalogError, CalibrationError
-        As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
+    InflightError
+        As `diagnose_span`.
+    OSError
+        When there is no place for the page; the verdict is kept all the same.
     """
-    asked = asked_of(cat, mission, start, end, settings or DiagnoseSettings())
-    examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    return write_report(Workspace.open(cat.workspace), output, examined, asked, progress or silent)
+    written = list[DiagnosisReport]()
+
+    def draw(examined: Examined, asked: Mapping[str, Any]) -> None:
+        written.append(write_report(workspace, output, examined, asked, progress or silent))
+
+    how: Any = {"client": client, "progress": progress, "finished": draw}
+    diagnose_span(workspace, start, end, settings, search=True, **how)
+    return written[0]
 
 
 def write_report(

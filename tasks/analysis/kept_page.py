@@ -42,6 +42,9 @@ class KeptPage(BaseModel):
             write_page(path, self.model_dump_json())
 
     def copy_to(self, output: Path) -> None:
-        """Write the page that was read where it is asked for."""
-        if output.resolve() != self.page:
+        """Write the page that was read where it is asked for, unless it is there already."""
+        there = None
+        with suppress(OSError):
+            there = output.read_bytes()
+        if there != self._content:
             write_page(output, self._content.decode("utf-8"))

@@ -71,7 +71,6 @@ from inflight.tasks.analysis.diagnosis import (
     PassResult,
     begin_search,
     diagnosis_data,
-    facts_of,
     intervals_of,
     make_pass,
     native_estimator,
@@ -1007,8 +1006,15 @@ class Workbench:
         if model is not None:
             plan, variance = self.made.plan, search.variance
             self.standing = standing_of(self.cat, self.mission, plan, model, variance, self.settings)
-        return Examined(search, data, found, self.settings, facts_of(self.made, self.units()))
+        units = self.units
+        facts = {
+            "evidence key": self.made.plan.key,
+            "days that failed": len(self.made.failed) or None,
+            "units that switch": "; ".join(one["sentence"] for one in units) if units else None,
+        }
+        return Examined(search, data, found, self.settings, facts)
 
+    @cached_property
     def units(self) -> list[dict[str, Any]] | None:
         """Return the units of the spacecraft that switch; None where no states are learnt."""
         return spacecraft_units_of(self.cat, self.mission, self.settings.comparison, self.start, self.end)
@@ -1219,9 +1225,8 @@ def diagnose_span(
     else:
         examined = bench.examine()
         fields = examined.found.as_json()
-    units = bench.units()
-    if units is not None:
-        fields["units"] = units
+    if bench.units is not None:
+        fields["units"] = bench.units
     kept = dict(asked)
     if save:
         # It is of the model before the versions that were saved.

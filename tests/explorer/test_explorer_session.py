@@ -103,9 +103,9 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
 def test_figures_and_page_of_a_diagnosis_made_here_take_no_second_search(session, workspace, monkeypatch):
     session.diagnose("main", DAYS, nobody)
     searched = []
-    own = session_module.examine
+    own = session_module.diagnose_span
     monkeypatch.setattr(
-        session_module, "examine", lambda *given, **how: searched.append(1) or own(*given, **how)
+        session_module, "diagnose_span", lambda *given, **how: searched.append(1) or own(*given, **how)
     )
     sections = session.figures_of_diagnosis("main", nobody)
     assert "What each cause would make" in [heading for heading, _, _ in sections]

@@ -99,7 +99,7 @@ def made(place, steps, tmp_path_factory):
     """The report of all days."""
     output = tmp_path_factory.mktemp("page") / "deep" / "report.html"
     how = {"settings": SETTINGS, "progress": lambda *step: steps.append(step)}
-    return report(Catalog(place.root), place.mission(), output, **how)
+    return report(place, output, **how)
 
 
 @pytest.mark.usefixtures("made")
@@ -247,7 +247,7 @@ def test_all_figures_together_hold_few_numbers(made):
 
 def test_nothing_to_work_on_is_said_and_nothing_is_written(place, tmp_path):
     with pytest.raises(CatalogError):
-        report(Catalog(place.root), place.mission(), tmp_path / "none.html", "2001-01-01", "2001-01-05")
+        report(place, tmp_path / "none.html", "2001-01-01", "2001-01-05")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -295,7 +295,7 @@ def test_a_search_without_rounds_has_a_page(place):
 
 
 def test_a_span_of_two_days_has_a_page(place, tmp_path):
-    made = report(Catalog(place.root), place.mission(), tmp_path / "two.html", DAYS[0], DAYS[2], SETTINGS)
+    made = report(place, tmp_path / "two.html", str(DAYS[0]), str(DAYS[2]), SETTINGS)
     text, _ = told(made.path.read_text(encoding="utf-8"))
     assert HEADING[made.fields["verdict"]] in text
 

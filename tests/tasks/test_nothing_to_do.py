@@ -14,6 +14,7 @@ from rich.console import Console
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
+from inflight.cli import main
 from inflight.cli.diagnose import print_diagnosis
 from inflight.errors import CatalogError
 from inflight.flows import launch, run_with_prefect, run_without_prefect
@@ -26,6 +27,7 @@ from inflight.tasks.analysis import (
     diagnosis_page,
     kept_comparison,
     kept_diagnosis,
+    kept_page,
     later_days,
     report_if_unchanged,
     revise,
@@ -248,14 +250,32 @@ def test_the_page_of_a_diagnosis_is_written_with_it_and_given_again(drawn, tmp_p
     stamp, told = page.stat().st_mtime_ns, again().as_json()
     assert page.stat().st_mtime_ns == stamp
     assert again(tmp_path / "elsewhere" / "page.html").path.read_bytes() == page.read_bytes()
-    # It is what a search for the page alone writes, but for the numbers that a process gives its figures.
-    made = analysis.report(Catalog(workspace.root), workspace.mission(), tmp_path / "anew.html")
+    # It is what another search writes, but for the numbers that a process gives its figures.
+    made = analysis.report(workspace, tmp_path / "anew.html")
     both = [re.sub(rb'"p\d+"', b'"p"', one.read_bytes()) for one in (made.path, page)]
     assert both[0] == both[1]
     assert told == json.loads(to_json(made.as_json() | {"path": str(page)}))
     # Which is kept, then.
     page.unlink()
     assert again().path.read_bytes() == made.path.read_bytes()
+
+
+def test_a_page_that_is_there_is_opened_where_nothing_can_be_written(drawn, monkeypatch, capsys):
+    workspace, _ = drawn
+    page = workspace.reports / "report-main.html"
+    whole = page.read_bytes()
+    monkeypatch.setattr(os, "access", lambda path, mode, **how: mode != os.W_OK)
+    monkeypatch.setattr(kept_page, "write_page", lambda *given: pytest.fail("it was written"))
+    root = ["-w", str(workspace.root), "--json"]
+    for output, code in ((page, 0), (workspace.reports / "other.html", 1)):
+        named = [] if output == page else ["--output", str(output)]
+        with pytest.raises(SystemExit) as left:
+            main(["report", *named, *root])
+        told = json.loads(capsys.readouterr().out)
+        assert (left.value.code or 0) == code
+        assert told.get("path") == (str(page) if code == 0 else None)
+    assert told["error"]["kind"] == "StorageError"
+    assert page.read_bytes() == whole
 
 
 def test_a_page_that_shows_something_else_is_not_given_again(drawn):
@@ -271,6 +291,11 @@ def test_a_page_that_shows_something_else_is_not_given_again(drawn):
     assert again() is not None
     Workbench(Catalog(workspace.root), workspace.mission()).add("channel_field(heater_current)")
     assert again() is None
+    # The search of a page is a diagnosis like any other.
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+    made = analysis.report(workspace, page)
+    found = diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())
+    assert found["verdict"] == made.fields["verdict"]
 
 
 def test_a_verdict_that_stands_for_a_later_day_has_no_page_of_it(drawn, monkeypatch):
@@ -279,9 +304,7 @@ def test_a_verdict_that_stands_for_a_later_day_has_no_page_of_it(drawn, monkeypa
     assert diagnose_span(workspace)["later_days"]["stands"]
     assert again() is None
     # Page and fields are of one search, of all days.
-    made = analysis.report(
-        Catalog(workspace.root), workspace.mission(), workspace.reports / "report-main.html"
-    )
+    made = analysis.report(workspace, workspace.reports / "report-main.html")
     assert again().as_json() == json.loads(to_json(made.as_json()))
     assert again().fields["blocks"]["end"].startswith("2024-03-06")
 
