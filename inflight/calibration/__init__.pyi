@@ -53,6 +53,7 @@ from .table import (
     calibration_table,
     describe_directions,
     for_given_numbers,
+    rows_within,
     table_boundary_steps,
     trend_jumps,
 )

@@ -24,6 +24,7 @@ import xarray as xr
 from inflight.arrays import Floats, finite_rows
 from inflight.calibration.extrapolation import LEARNT, change_outside
 from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
+from inflight.calibration.table import noise_of_rows
 from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
@@ -573,18 +574,13 @@ def day_parameters(
     places = {name: place for place, name in enumerate(table["parameter"].values.tolist())}
     columns = [places[name] for name in reference.columns]
     free = reference.sigma > 0
-    known = table["after"].values
-    noise = float(known[row])
-    known = known[np.isfinite(known)]
-    if not np.isfinite(noise) and known.size:
-        noise = float(np.median(known))
     interval = table.isel(interval=row)
     change = change_outside(interval, table, span or (tt2000, tt2000), reference.columns)
     return DayParameters(
         np.array(table["value"].values[row, columns], dtype=np.float64),
         np.array(table["covariance"].values[row][np.ix_(columns, columns)], dtype=np.float64),
         bool(np.all(table["determined"].values[row, columns][free])),
-        noise,
+        float(noise_of_rows(table)[row]),
         None if change is None else (int(interval[LEARNT[0]]), int(interval[LEARNT[1]])),
         change,
         JointNumbers.of(interval, columns),

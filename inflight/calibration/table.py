@@ -114,6 +114,25 @@ def calibration_table(
     return with_learnt_spans(table, learnt[:, 0], learnt[:, 1])
 
 
+def rows_within(table: xr.Dataset, start: int, end: int) -> xr.Dataset:
+    """Return the intervals of a table that reach into a half-open TT2000 span, each with a noise.
+
+    The whole table of a long mission takes megabytes.
+    """
+    inside = np.flatnonzero((table["start"].values < end) & (start < table["end"].values))
+    after = ("interval", noise_of_rows(table)[inside], table["after"].attrs)
+    return table.isel(interval=inside).assign(after=after)
+
+
+def noise_of_rows(table: xr.Dataset) -> Floats:
+    """Return the noise of each interval, nT: the median of the others' where its own data do not tell."""
+    noise = np.array(table["after"].values, dtype=np.float64)
+    known = np.isfinite(noise)
+    if known.any():
+        noise[~known] = np.median(noise[known])
+    return noise
+
+
 def for_given_numbers(table: xr.Dataset) -> xr.Dataset:
     """Return a table whose errors are those for given values of the numbers that the model holds.
 

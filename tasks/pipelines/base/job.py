@@ -23,8 +23,10 @@ from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
+from inflight.tasks.batches import give_back_memory
 from inflight.tasks.pipelines.base.planning import ReprocessSettings
 from inflight.threads import one_thread
+from inflight.time import day_bounds
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,6 +53,12 @@ class Job:
     needs: tuple[Need, ...]
     run: str
     dataset: str
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Half-open TT2000 of the days, with what their samples reach into those around."""
+        reach = max((need.around_ns for need in self.needs), default=0)
+        return day_bounds(min(self.days))[0] - reach, day_bounds(max(self.days))[1] + reach
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +94,7 @@ class ProductBatch(Batch):
     model : Model
         What is corrected, in order.
     table : xarray.Dataset
-        The calibration table whose values the model takes.
+        The calibration table whose values the model takes, or the rows of it that the days need.
     preflight : Model
         What the residual before calibration is made with.
     table_name, model_name, context_name : str
@@ -183,4 +191,5 @@ def make_days(
             # Days' statistics are made again from the archive any time.
             remade = job.dataset.startswith("equations/")
             outcome.segment = write_segment(folder or cat.workspace, job.run, job.dataset, made, quick=remade)
+    give_back_memory()
     return outcome

@@ -28,7 +28,7 @@ from inflight.catalog import Catalog, Day
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.progress import Progress, silent
-from inflight.tasks.pipelines.base.job import Batch, ProductBatch
+from inflight.tasks.pipelines.base.job import Batch, Job, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
 from inflight.tasks.pipelines.base.publication import Reprocessing, TableStager, TablesToPublish
 from inflight.tasks.pipelines.base.tables import content_keys
@@ -234,6 +234,14 @@ class Pipeline(ABC):
         return TableStager(work=work, days=days, key_of=lambda name: self.table_key(work.plan, name, days))
 
     # --- products ---------------------------------------------------------------------------------------
+
+    def rows_for(self, table: xr.Dataset, job: Job) -> xr.Dataset:
+        """Return what of a table the products of a batch take: all of it unless overridden.
+
+        It is sent to a worker with each batch, and looked through for each day.
+        """
+        del job
+        return table
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return one day's level-2 product and a report as plain numbers; runs in a worker.

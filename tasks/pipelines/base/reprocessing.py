@@ -22,7 +22,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.progress import Progress, silent
 from inflight.tasks.archive import spin_problems, substitution_problems
-from inflight.tasks.batches import Mapper
+from inflight.tasks.batches import Mapper, give_back_memory
 from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.origins import context_label, origin_attributes, table_label
@@ -83,6 +83,7 @@ def run_plan(
             with one_thread():
                 solved = pipeline.solve(work, statistics.days)
             work.statistics = None
+            give_back_memory()
             tables = max(len(solved.kept), 1)
             progress("tables", tables, tables)
         made = (
@@ -289,7 +290,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
                 model=solved.model,
                 job=replace(job, parents=parents),
                 settings=plan.settings,
-                table=solved.used[days[0]].table,
+                table=pipeline.rows_for(solved.used[days[0]].table, job),
                 preflight=preflight,
                 table_name=names[number],
                 model_name=model_label(solved.model.name, version),

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Job, Report
 
 
 #: Statistics of more days than these leave the processes that made them no room.
@@ -111,6 +111,10 @@ class MissionPipeline(Pipeline):
             plan.context,
         ]
         return hashlib.sha256("".join([*content_keys(days), *inputs]).encode()).hexdigest()
+
+    def rows_for(self, table: xr.Dataset, job: Job) -> xr.Dataset:
+        """Return the rows of the days of a batch."""
+        return ScalarPipeline().rows_for(table, job)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's calibrated field; its report holds the spread of the residual, too."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from inflight.calibration import NormalEquations
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Job, Report
 
 
 class ScalarPipeline(Pipeline):
@@ -86,6 +86,12 @@ class ScalarPipeline(Pipeline):
             make = partial(window_table, equations, model, bounds, name, tuple(finer), form, work.progress)
             finer.insert(0, stager.table(name, make))
         return stager.solved(plan.settings.table, model)
+
+    def rows_for(self, table: xr.Dataset, job: Job) -> xr.Dataset:
+        """Return the intervals that hold for the days of a batch."""
+        from inflight.calibration import rows_within
+
+        return rows_within(table, *job.span)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's calibrated field; see `level2_day`."""
