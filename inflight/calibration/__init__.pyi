@@ -110,6 +110,7 @@ __all__ = [
     "readings_of",
     "reference_of",
     "remove_other_effects",
+    "rows_within",
     "sub_block_count",
     "table_boundary_steps",
     "table_changes",

@@ -7,7 +7,7 @@ from effect_cases import MISSION, true_samples
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import day_parameters, level2, reference_of
+from inflight.calibration import day_parameters, level2, reference_of, rows_within
 from inflight.calibration.product import DayParameters
 from inflight.errors import ModelError
 from inflight.flags import Flag
@@ -140,24 +140,46 @@ def test_one_outlier_is_flagged_and_its_value_kept():
     assert product["residual"].values[30] == pytest.approx(-5.0, abs=1e-6)
 
 
-def test_a_table_is_not_asked_outside_its_intervals():
-    model = model_with(VALUE)
-    reference = reference_of(model, 0)
-    names = reference.columns
-    table = xr.Dataset(
+def table_of_days(after: list[float]) -> xr.Dataset:
+    """Return a table with one interval a day, and so much noise in each."""
+    names, count = reference_of(model_with(VALUE), 0).columns, len(after)
+    begins = np.arange(count) * DAY
+    return xr.Dataset(
         {
-            "value": (("interval", "parameter"), VALUE[None]),
-            "covariance": (("interval", "parameter", "other"), covariance(0)[None]),
-            "determined": (("interval", "parameter"), np.ones((1, 9), dtype=bool)),
-            "after": ("interval", np.array([0.1])),
-            "start": ("interval", np.array([0])),
-            "end": ("interval", np.array([DAY])),
+            "value": (("interval", "parameter"), VALUE + 1e-4 * np.arange(count)[:, None]),
+            "covariance": (("interval", "parameter", "other"), np.repeat(covariance(0)[None], count, 0)),
+            "determined": (("interval", "parameter"), np.ones((count, 9), dtype=bool)),
+            "after": ("interval", np.array(after)),
+            "start": ("interval", begins),
+            "end": ("interval", begins + DAY),
         },
         coords={"parameter": names, "other": names},
     )
+
+
+def test_a_table_is_not_asked_outside_its_intervals():
+    reference, table = reference_of(model_with(VALUE), 0), table_of_days([0.1])
     assert np.array_equal(day_parameters(table, DAY - 1, reference).value, VALUE)
     with pytest.raises(ModelError, match="reprocess"):
         day_parameters(table, DAY, reference)
+
+
+def test_the_rows_of_some_days_say_of_these_what_the_whole_table_says():
+    whole = table_of_days([0.1, 0.2, np.nan, 0.7, 0.8])
+    reference, model = reference_of(model_with(VALUE), 0), model_with(VALUE)
+    # A second of the neighbour on either side; an interval that only touches the span is not in it.
+    some = rows_within(whole, 2 * DAY - 10**9, 3 * DAY + 10**9)
+    assert some["start"].values.tolist() == [DAY, 2 * DAY, 3 * DAY]
+    assert rows_within(whole, DAY, 2 * DAY)["start"].values.tolist() == [DAY]
+    for at in (2 * DAY - 10**9, 2 * DAY, 3 * DAY + 10**9 - 1):
+        of_whole, of_some = (day_parameters(table, at, reference) for table in (whole, some))
+        assert np.array_equal(of_whole.value, of_some.value)
+        assert of_whole.noise == of_some.noise
+    # Of a day that does not tell its noise it is the median of all others, not of its neighbours.
+    assert day_parameters(some, 2 * DAY, reference).noise == pytest.approx(0.45)
+    stamps = np.arange(2 * DAY - 10**9, 3 * DAY + 10**9, 10**11)
+    timed = [model.bind(table).effects[0].parameters["offset"].at(stamps) for table in (whole, some)]
+    assert np.array_equal(timed[0], timed[1])
 
 
 @pytest.mark.parametrize("told", ["time: constant, free: true", "time: linear, t0: 2004-01-01, free: true"])
