@@ -115,9 +115,9 @@ def calibration_table(
 
 
 def rows_within(table: xr.Dataset, start: int, end: int) -> xr.Dataset:
-    """Return the intervals of a table that reach into a half-open TT2000 span, each with a noise.
+    """Return the intervals of a table that reach into a half-open TT2000 span.
 
-    The whole table of a long mission takes megabytes.
+    Their noise, `after`, is that of `noise_of_rows` of the whole table.
     """
     inside = np.flatnonzero((table["start"].values < end) & (start < table["end"].values))
     after = ("interval", noise_of_rows(table)[inside], table["after"].attrs)

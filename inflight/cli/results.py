@@ -385,8 +385,10 @@ def report(
     settings = DiagnoseSettings.model_validate(last.get("settings") or {"comparison": name})
     if not any(span):
         span = last.get("start"), last.get("end")
-    # The page of the last search is opened where it lies, though nothing can be written there.
-    page = _page_path(output) if output else page_of_diagnosis(workspace, name, *span)
+    page = output or page_of_diagnosis(workspace, name, *span)
+    # What is there is opened where it lies, though nothing can be written.
+    if output or not page.exists():
+        page = _page_path(page)
     written = report_if_unchanged(workspace, page, *span, settings)
     if written is None:
         page = _page_path(page)

@@ -98,7 +98,7 @@ def diagnose(
     client: Any = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find out which physical effect is missing from a mission's present model; nothing of it is kept.
+    """Find out which physical effect is missing from a mission's present model; the verdict is not kept.
 
     Parameters
     ----------

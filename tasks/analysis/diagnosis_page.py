@@ -75,7 +75,12 @@ from inflight.figures import (
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import Examined
-from inflight.tasks.analysis.kept_diagnosis import DiagnosisReport, keep_report
+from inflight.tasks.analysis.kept_diagnosis import (
+    DiagnosisReport,
+    asked_alike,
+    keep_report,
+    last_diagnosis,
+)
 from inflight.tasks.analysis.revise import diagnose_span
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.report import write_page
@@ -316,7 +321,8 @@ def report(
     """Diagnose a span as `diagnose_span` does, and write the page of it.
 
     Verdict and page are kept: `diagnose_if_unchanged` and `report_if_unchanged` return them while they would
-    be the same. Gram blocks that are there already are not made again.
+    be the same. A last diagnosis of another span, or with other settings, stays the last one. Gram blocks
+    that are there already are not made again.
 
     Parameters
     ----------
@@ -332,14 +338,17 @@ def report(
     OSError
         When there is no place for the page; the verdict is kept all the same.
     """
-    written = list[DiagnosisReport]()
+    settings = settings or DiagnoseSettings()
+    last = last_diagnosis(workspace, settings.comparison)
+    keep = last is None or asked_alike(last.get("asked") or {}, start, end, settings)
+    searched = list[tuple[Examined, Mapping[str, Any]]]()
 
-    def draw(examined: Examined, asked: Mapping[str, Any]) -> None:
-        written.append(write_report(workspace, output, examined, asked, progress or silent))
+    def finished(examined: Examined, asked: Mapping[str, Any]) -> None:
+        searched.append((examined, asked))
 
-    how: Any = {"client": client, "progress": progress, "finished": draw}
-    diagnose_span(workspace, start, end, settings, search=True, **how)
-    return written[0]
+    how: Any = {"client": client, "progress": progress, "finished": finished}
+    diagnose_span(workspace, start, end, settings, search=True, keep=keep, **how)
+    return write_report(workspace, output, *searched[0], progress or silent)
 
 
 def write_report(

@@ -1016,7 +1016,7 @@ class Workbench:
 
     @cached_property
     def units(self) -> list[dict[str, Any]] | None:
-        """Return the units of the spacecraft that switch; None where no states are learnt."""
+        """The units of the spacecraft that switch, when first asked for; None where no states are learnt."""
         return spacecraft_units_of(self.cat, self.mission, self.settings.comparison, self.start, self.end)
 
     def _model_found(self, search: Search) -> Model | None:
@@ -1172,6 +1172,7 @@ def diagnose_span(
     *,
     save: bool = False,
     search: bool = False,
+    keep: bool = True,
     client: Any = None,
     progress: Progress | None = None,
     finished: Callable[[Examined, Mapping[str, Any]], object] | None = None,
@@ -1189,8 +1190,10 @@ def diagnose_span(
         Save one version of the model for every effect that was found, in the order they were taken.
     search : bool
         Search though the last verdict may stand for the days since.
+    keep : bool
+        Make the result of a search the last diagnosis of the workspace.
     finished : callable, optional
-        Called after the result was kept with the search and what was asked (`asked_of`); not where there was
+        Called in the end with the search and what was asked (`asked_of`); not where there was
         no search, nor when versions are saved.
 
     Returns
@@ -1231,14 +1234,15 @@ def diagnose_span(
     if save:
         # It is of the model before the versions that were saved.
         del kept["made_from"]
-    elif bench.standing is not None:
+    elif keep and bench.standing is not None:
         # The diagnosis was asked for, and is there: what is wrong with a day is told with the next one.
         with suppress(InflightError):
             note_compared_days(bench.cat, mission, bench.standing, listener)
         kept["standing"] = bench.standing
     if stands is not None:
         fields["later_days"] = stands["later_days"]
-    save_diagnosis(workspace, fields, kept)
+    if keep:
+        save_diagnosis(workspace, fields, kept)
     if finished is not None and examined is not None:
         finished(examined, asked)
     return fields

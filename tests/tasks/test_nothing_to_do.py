@@ -276,6 +276,13 @@ def test_a_page_that_is_there_is_opened_where_nothing_can_be_written(drawn, monk
         assert told.get("path") == (str(page) if code == 0 else None)
     assert told["error"]["kind"] == "StorageError"
     assert page.read_bytes() == whole
+    # Nor is it copied there from where it lies.
+    other = page.rename(workspace.reports / "moved.html")
+    kept = workspace.reports / "report-main.json"
+    kept.write_text(kept.read_text("utf-8").replace(str(page), str(other)), encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["report", *root])
+    assert json.loads(capsys.readouterr().out)["error"]["kind"] == "StorageError"
 
 
 def test_a_page_that_shows_something_else_is_not_given_again(drawn):
@@ -291,11 +298,15 @@ def test_a_page_that_shows_something_else_is_not_given_again(drawn):
     assert again() is not None
     Workbench(Catalog(workspace.root), workspace.mission()).add("channel_field(heater_current)")
     assert again() is None
-    # The search of a page is a diagnosis like any other.
-    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
-    made = analysis.report(workspace, page)
-    found = diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())
+    # The search of a page is a diagnosis like any other; of other days it is not what 'add' goes on from.
+    settings = DiagnoseSettings()
+    assert diagnose_if_unchanged(workspace, "2024-03-02", None, settings) is None
+    made = analysis.report(workspace, page.with_name("some.html"), "2024-03-02")
+    found = diagnose_if_unchanged(workspace, "2024-03-02", None, settings)
     assert found["verdict"] == made.fields["verdict"]
+    analysis.report(workspace, page)
+    assert again() is not None
+    assert diagnose_if_unchanged(workspace, "2024-03-02", None, settings) == found
 
 
 def test_a_verdict_that_stands_for_a_later_day_has_no_page_of_it(drawn, monkeypatch):

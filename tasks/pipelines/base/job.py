@@ -23,7 +23,6 @@ from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
-from inflight.tasks.batches import give_back_memory
 from inflight.tasks.pipelines.base.planning import ReprocessSettings
 from inflight.threads import one_thread
 from inflight.time import day_bounds
@@ -191,5 +190,4 @@ def make_days(
             # Days' statistics are made again from the archive any time.
             remade = job.dataset.startswith("equations/")
             outcome.segment = write_segment(folder or cat.workspace, job.run, job.dataset, made, quick=remade)
-    give_back_memory()
     return outcome

@@ -235,7 +235,10 @@ def _make_pass(
 
 def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
     """Make the statistics of a batch of days in a worker, and write them as one segment."""
-    return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
+    outcome = make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
+    # What the C library keeps of it would grow from batch to batch.
+    give_back_memory()
+    return outcome
 
 
 def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None = None) -> Outcome:
@@ -248,7 +251,9 @@ def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None =
         product, report = pipeline.make_product(batch, day)
         return product.assign_attrs(origin_attributes(pipeline, batch, day, report)), report
 
-    return make_days(batch.cat, batch.job, make, folder=folder)
+    outcome = make_days(batch.cat, batch.job, make, folder=folder)
+    give_back_memory()
+    return outcome
 
 
 def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
