@@ -20,14 +20,33 @@ _IMPORTED: Final = (
     "inflight.samples.interpolation",
     "inflight.calibration.residual_loops",
     "pint",
+    "scipy.spatial.transform",
     "zarr",
 )
+
+
+def _use_once() -> None:
+    """Do what takes a tenth of a second or more at its first use, and then holds for every fork as well.
+
+    Numba reads what it knows of Python and numpy when it first calls a loop; which libraries multiply
+    matrices is looked for when they are first told how many threads to take.
+    """
+    import numpy as np
+
+    from inflight.samples.interpolation import linear
+    from inflight.threads import one_thread
+
+    with one_thread():
+        stamps = np.arange(2, dtype=np.int64)
+        linear(stamps, np.zeros((2, 1)), stamps, 1.0)
+
 
 # Python would look through all that is imported for what could go, again and again: a fifth of the time.
 gc.disable()
 try:
     for name in _IMPORTED:
         import_module(name)
+    _use_once()
 finally:
     # What is imported stays: nor does it touch, and so copy, memory that the processes share.
     gc.freeze()

@@ -417,7 +417,7 @@ def _diagnose_span(
     search: bool = False,
     page: bool,
 ) -> dict[str, Any]:
-    from inflight.tasks.analysis import Examined, diagnose_span, page_of_diagnosis, write_report
+    from inflight.tasks.analysis import Examined, diagnose_span
 
     progress, searched = runner().progress, list[tuple[Examined, Mapping[str, Any]]]()
 
@@ -429,6 +429,9 @@ def _diagnose_span(
         return diagnose_span(place, *span.as_text(), settings, finished=keep if page else None, **how)
 
     def draw() -> None:
+        # What draws is read by those who draw.
+        from inflight.tasks.analysis import page_of_diagnosis, write_report
+
         output = page_of_diagnosis(place, settings.comparison, *span.as_text())
         write_report(place, output, *searched[-1], progress)
 

@@ -25,6 +25,7 @@ from .normal_equations import (
     concat_equations,
     field_columns,
     nine_columns,
+    solve_sets,
 )
 from .product import FILTER_PERIOD_S, ResidualCorrection, day_parameters, distribute_residual, level2
 from .published import fit_difference, fit_squares, published_fit, published_gram, to_sensor_angles
@@ -111,6 +112,7 @@ __all__ = [
     "reference_of",
     "remove_other_effects",
     "rows_within",
+    "solve_sets",
     "sub_block_count",
     "table_boundary_steps",
     "table_changes",

@@ -41,7 +41,6 @@ from inflight.lsq import (
     full_dataset,
     larger_scatter,
     robust_sigma,
-    solve,
     solve_each,
     solve_scaled,
 )
@@ -192,19 +191,8 @@ class NormalEquations(GramArrays):
             scatter within the blocks and between them.
         """
         common = self.at_one_reference()
-        if common is not self:
-            return common.solve(prior_sigma, prior)
-        scale = self.scale[:-1]
-        centre = np.zeros_like(scale) if prior is None else (prior - self.first_reference) / scale
-        within = self._scatter[:, :-1, :-1].sum(axis=0)
-        total, count = self.total, float(self.count.sum())
-        sigma = np.asarray(prior_sigma) / scale
-        first = solve(total, within, count, centre, sigma)
-        if len(self) == 1:
-            return first
-        scores = self.gram[:, :-1, -1] + self.gram[:, :-1, :-1] @ first.value
-        between = scores.T @ scores * len(self) / (len(self) - 1)
-        return solve(total, larger_scatter(total[:-1, :-1], within, between, sigma), count, centre, sigma)
+        centre = common.first_reference if prior is None else prior
+        return solve_sets([common], np.asarray(prior_sigma)[None], centre[None])[0]
 
     def solve_each(self, prior_sigma: Floats, prior: Floats) -> list[Solution]:
         """Solve every block for itself, as `solve` does the blocks of one.
@@ -245,6 +233,44 @@ class NormalEquations(GramArrays):
         every = np.arange(len(self))
         indices = np.array_split(every, folds)
         return [(self.of_blocks(np.setdiff1d(every, held)), self.of_blocks(held)) for held in indices]
+
+
+def solve_sets(sets: Sequence[NormalEquations], prior_sigma: Floats, prior: Floats) -> list[Solution]:
+    """Solve several sets of blocks, each for itself and as `NormalEquations.solve` does one, but together.
+
+    Parameters
+    ----------
+    sets : sequence of NormalEquations
+        Of the same columns, each at one reference (`inflight.lsq.GramArrays.at_one_reference`).
+    prior_sigma, prior : ndarray, shape (set, column)
+        What is known beforehand of each, physical units.
+
+    Returns
+    -------
+    list of Solution
+        Scaled, relative to each set's own reference.
+    """
+    scale = sets[0].scale[:-1]
+    references = np.array([blocks.first_reference for blocks in sets])
+    centres = (prior - references) / scale
+    sigmas = prior_sigma / scale
+    withins = np.array([blocks._scatter[:, :-1, :-1].sum(axis=0) for blocks in sets])
+    totals = np.array([blocks.total for blocks in sets])
+    counts = np.array([float(blocks.count.sum()) for blocks in sets])
+    found = solve_each(totals, withins, counts, centres, sigmas)
+    several = [place for place, blocks in enumerate(sets) if len(blocks) > 1]
+    if not several:
+        return found
+    for place in several:
+        blocks = sets[place]
+        scores = blocks.gram[:, :-1, -1] + blocks.gram[:, :-1, :-1] @ found[place].value
+        between = scores.T @ scores * len(blocks) / (len(blocks) - 1)
+        matrix, sigma = totals[place, :-1, :-1], sigmas[place]
+        withins[place] = larger_scatter(matrix, withins[place], between, sigma)
+    again = solve_each(totals[several], withins[several], counts[several], centres[several], sigmas[several])
+    for place, solution in zip(several, again, strict=True):
+        found[place] = solution
+    return found
 
 
 def _one_block(

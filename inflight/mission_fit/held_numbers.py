@@ -1,10 +1,10 @@
 """What the errors of numbers that a calibration holds do to the parameters that it fits.
 
 Takes a model whose numbers have a sigma, and a day's samples; makes products of their columns with those of
-the nine parameters (`held_products`), and of sums of these how far a sigma of each moves the nine
-(`held_shifts`). With X the columns of the nine and z that of a number, which is off by c, least squares moves
-the nine by ``(X^T X)^-1 X^T z c`` (see `inflight.mission_fit.crosstalk`). The error is the same at all times:
-no number of days makes it smaller.
+the nine parameters (`held_products`), and of these, or of their sums, how far a sigma of each moves the nine
+(`held_shifts_of_each`, `held_shifts`). With X the columns of the nine and z that of a number, which is off by
+c, least squares moves the nine by ``(X^T X)^-1 X^T z c`` (see `inflight.mission_fit.crosstalk`). The error is
+the same at all times: no number of days makes it smaller.
 
 A number of the scalar sensor, its clock, bias and the fields at it, moves the nine and no more. One of the
 vector sensor changes the corrected field itself, too, and the nine make part of that good: its shift stands
@@ -144,12 +144,44 @@ def held_shifts(equations: NormalEquations, products: Floats, prior_sigma: Float
     ndarray, shape (number, 9)
         Physical units. Their outer products, summed, are what the numbers add to the covariance.
     """
+    together = products.sum(axis=0)[None]
+    return np.asarray(_shifts(equations.total[None], together, prior_sigma[None], np.array([noise]))[0])
+
+
+def held_shifts_of_each(
+    equations: NormalEquations, products: Floats, prior_sigma: Floats, noise: Floats
+) -> Floats:
+    """Return by how much one sigma of each held number moves the nine, fitted to each block by itself.
+
+    Parameters
+    ----------
+    equations, products
+        As of `held_shifts`.
+    prior_sigma : ndarray, shape (block, 9)
+    noise : ndarray, shape (block,)
+
+    Returns
+    -------
+    ndarray, shape (block, number, 9)
+        As of `held_shifts` block by block.
+    """
+    return _shifts(equations.gram, products, prior_sigma, noise)
+
+
+def _shifts(grams: Floats, products: Floats, prior_sigma: Floats, noise: Floats) -> Floats:
+    """Return the shifts of equations that are solved each for itself; (equations, number, 9)."""
+    out = np.zeros(products.shape)
     if not products.size:
-        return np.zeros(products.shape[1:])
-    with np.errstate(divide="ignore"):
-        precision = (noise * PARAMETER_SCALE / np.asarray(prior_sigma)) ** 2
-    found = solve_scaled(equations.total[:-1, :-1], products.sum(axis=0).T, cut=0.0, precision=precision)
-    return np.asarray(found.T * PARAMETER_SCALE)
+        return out
+    with np.errstate(divide="ignore", invalid="ignore"):
+        precision = (noise[:, None] * PARAMETER_SCALE / prior_sigma) ** 2
+    # Those with the same parameters fixed are solved together.
+    for fixed in np.unique(np.isfinite(precision), axis=0):
+        alike = np.flatnonzero((np.isfinite(precision) == fixed).all(axis=1))
+        right = products[alike].swapaxes(1, 2)
+        found = solve_scaled(grams[alike, :-1, :-1], right, cut=0.0, precision=precision[alike])
+        out[alike] = found.swapaxes(1, 2) * PARAMETER_SCALE
+    return out
 
 
 def held_variance(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +25,13 @@ from inflight.calibration import (
     linearisation_error,
     published_fit,
     reference_of,
+    solve_sets,
     with_changes,
 )
 from inflight.catalog import Catalog, Day, DayData, Run, idempotency_key, write_segment
 from inflight.errors import CalibrationError, CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
-from inflight.mission_fit import held_numbers_of, held_shifts, with_held_numbers
+from inflight.mission_fit import held_numbers_of, held_shifts, held_shifts_of_each, with_held_numbers
 from inflight.model import Model
 from inflight.progress import Progress, silent, tell_each
 from inflight.time import day_bounds
@@ -142,17 +143,19 @@ def daily_table(
     spans = list(zip(equations.start.tolist(), equations.end.tolist(), strict=True))
     priors = [reference_of(model, (start + end) // 2) for start, end in spans]
     filled = np.flatnonzero(bare.count > 0)
-    solved = bare.of_blocks(filled).solve_each(
-        np.array([prior.sigma for prior in priors])[filled],
-        np.array([prior.value for prior in priors])[filled],
+    sigma, value = (
+        np.array([getattr(prior, name) for prior in priors])[filled] for name in ("sigma", "value")
     )
-    solutions = dict(zip(filled.tolist(), solved, strict=True))
+    alone = bare.of_blocks(filled)
+    solved = alone.solve_each(sigma, value)
+    shifts = held_shifts_of_each(alone, held[filled], sigma, after[filled])
+    solutions = dict(zip(filled.tolist(), zip(solved, shifts, strict=True), strict=True))
     rows = []
     for index, (start, end) in enumerate(tell_each(progress, "intervals", spans)):
-        one = bare.of_blocks(slice(index, index + 1))
         if index not in solutions:
-            rows.append(_prior_interval(one, model, start, end))
+            rows.append(_prior_interval(bare.of_blocks(slice(index, index + 1)), model, start, end))
             continue
+        solution, moved = solutions[index]
         rows.append(
             Interval(
                 start,
@@ -160,11 +163,11 @@ def daily_table(
                 (start, end),
                 fit[index],
                 covariance[index],
-                solutions[index],
+                solution,
                 float(used[index]),
                 float(before[index]),
                 float(after[index]),
-                held=held_shifts(one, held[index : index + 1], priors[index].sigma, float(after[index])),
+                held=moved,
             )
         )
     if form != "exact":
@@ -201,15 +204,15 @@ def window_table(
     progress : callable, optional
         Called with ("intervals", done, total).
     """
-    each, rows, bare, used = [], [], equations.bare, equations.dataset["used"].values
+    each, parts, bare, used = [], [], equations.bare, equations.dataset["used"].values
     held = _held_products(equations)
-    spans = list(itertools.pairwise(day_bounds(edge)[0] for edge in edges))
-    for start, end in tell_each(progress, "intervals", spans):
+    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
         if inside.size:
-            part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())
-            rows.append(_solved_interval(part, held[inside], count, model, start, end))
+            filled = inside[bare.count[inside] > 0]
+            parts.append(_Window(start, end, bare.of_blocks(inside), held[filled], float(used[filled].sum())))
             each.append(inside)
+    rows = _solved_windows(parts, model, progress)
     made_by: dict[str, Any] = {}
     if form != "exact":
         rows, made_by = _published_rows(equations, rows, each, model, form)
@@ -269,34 +272,55 @@ def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -
     )
 
 
-def _solved_interval(
-    part: NormalEquations, held: Floats, used: float, model: Model, start: int, end: int
-) -> Interval:
-    """Return the row of a span: the sum of its blocks, of so many samples, solved with the model's prior."""
-    if not len(part.filled):
-        return _prior_interval(part, model, start, end)
-    part = part.filled
-    middle = int(part.start[0] // 2 + part.end[-1] // 2)
-    prior = reference_of(model, middle)
-    common = part.at(prior.value)
-    solution = common.solve(prior.sigma, prior.value)
-    value, covariance = common.physical(solution)
-    gram, count = common.total, float(common.count.sum())
-    after = float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR
-    return Interval(
-        start,
-        end,
-        (int(part.start[0]), int(part.end[-1])),
-        value,
-        covariance,
-        solution,
-        used,
-        float(np.sqrt(gram[-1, -1] / count)),
-        after,
-        len(part),
-        # Days without data have no products.
-        held_shifts(common, held, prior.sigma, after),
-    )
+class _Window(NamedTuple):
+    """A span, its blocks, products with the held numbers of those with data, and the samples of these."""
+
+    start: int
+    end: int
+    blocks: NormalEquations
+    held: Floats
+    used: float
+
+
+def _solved_windows(parts: Sequence[_Window], model: Model, progress: Progress) -> list[Interval]:
+    """Return the row of each span: the sum of its blocks, solved with the model's prior."""
+    # Days without data have no products.
+    filled = [part.blocks.filled for part in parts]
+    there = [place for place, blocks in enumerate(filled) if len(blocks)]
+    priors = {
+        place: reference_of(model, int(filled[place].start[0] // 2 + filled[place].end[-1] // 2))
+        for place in there
+    }
+    common = {place: filled[place].at(priors[place].value) for place in there}
+    solved: dict[int, Solution] = {}
+    if there:
+        known = (np.array([getattr(prior, name) for prior in priors.values()]) for name in ("sigma", "value"))
+        solved = dict(zip(there, solve_sets(list(common.values()), *known), strict=True))
+    rows = []
+    for place, part in enumerate(tell_each(progress, "intervals", parts)):
+        if place not in solved:
+            rows.append(_prior_interval(part.blocks, model, part.start, part.end))
+            continue
+        blocks, solution = common[place], solved[place]
+        value, covariance = blocks.physical(solution)
+        gram, count = blocks.total, float(blocks.count.sum())
+        after = float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR
+        rows.append(
+            Interval(
+                part.start,
+                part.end,
+                (int(blocks.start[0]), int(blocks.end[-1])),
+                value,
+                covariance,
+                solution,
+                part.used,
+                float(np.sqrt(gram[-1, -1] / count)),
+                after,
+                len(blocks),
+                held_shifts(blocks, part.held, priors[place].sigma, after),
+            )
+        )
+    return rows
 
 
 def span_solution(equations: NormalEquations, model: Model) -> Solution:
