@@ -45,10 +45,11 @@ WORKERS_ENVIRONMENT: Final = ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEP
 #: Imported once for all processes.
 _PRELOAD = ["inflight.flows.preload"]
 
-#: What processes take to start, s, about: with the process that they are forks of, and once it is ready.
-_START_S, _START_READY_S = 3.0, 0.5
+#: What processes take to start, s, about: with the process that they are forks of, and as forks of one that
+#: is ready.
+_START_S, _FORK_S = 3.0, 0.5
 #: How many pieces of work are few. Of more, the first is not tried here: it would keep all processes waiting.
-#: For very few, nothing gets ready before it pays.
+#: For very few, nothing gets ready before it pays, nor is anything given away.
 _FEW, _VERY_FEW = 6, 2
 #: Pieces of work that only a long record has.
 _MUCH = 12
@@ -139,9 +140,8 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
 
 #: Schedulers of clusters that live in this process: their workers are forks of one process.
 _living: list[object] = []
-#: When the process that workers are forks of was asked to start, on the clock of `time.monotonic`, by its
-#: number.
-_began: dict[int, float] = {}
+#: When the process that workers are forks of was started, on the clock of `time.monotonic`, by its number.
+_fork_server_began: dict[int, float] = {}
 
 
 @contextmanager
@@ -166,7 +166,7 @@ def start_early() -> None:
     multiprocessing.set_forkserver_preload(_PRELOAD)
     with environment_of(WORKERS_ENVIRONMENT):
         forkserver.ensure_running()
-    _began.setdefault(_fork_server(), time.monotonic())
+    _fork_server_began.setdefault(_fork_server(), time.monotonic())
     # It would end by itself, a moment later than its command.
     atexit.unregister(_end_fork_server)
     atexit.register(_end_fork_server)
@@ -177,13 +177,14 @@ def _fork_server() -> int:
     return forkserver._forkserver._forkserver_pid or 0  # type: ignore[attr-defined]
 
 
-def _start_takes() -> float:
-    """Return what processes still take to start, s, about."""
-    began = _began.get(_fork_server())
-    return _START_S if began is None else max(_START_S - (time.monotonic() - began), _START_READY_S)
+def _is_fork_server_ready() -> bool:
+    """Return whether the process that workers are forks of has had time to import what they need."""
+    began = _fork_server_began.get(_fork_server())
+    return began is not None and time.monotonic() - began > _START_S - _FORK_S
 
 
 def _end_fork_server() -> None:
+    _fork_server_began.clear()
     # A process that Python's own multiprocessing began has removed the folder of its sockets by now.
     with suppress(FileNotFoundError):
         forkserver._forkserver._stop()  # type: ignore[attr-defined]
@@ -215,7 +216,8 @@ class _LazyClient:
     """Stands for a client whose processes start when there is work enough for them.
 
     A few pieces of work are done in this process while processes would save less of what is left of them, by
-    how long those before it took, than they take to start.
+    how long those before it took, than they take to start. More than very few are given to processes at once
+    where these need only be forked.
     """
 
     def __init__(self, workers: int | None, niceness: int) -> None:
@@ -230,7 +232,7 @@ class _LazyClient:
     def expect(self, pieces: int) -> None:
         """Tell how many pieces of work come, before the first of them."""
         # Where processes are as good as there, the first piece would keep them waiting as well.
-        few = _VERY_FEW if _start_takes() <= _START_READY_S else _FEW
+        few = _VERY_FEW if _is_fork_server_ready() else _FEW
         alone = SCHEDULER_VARIABLE not in os.environ and pieces <= few
         self._left, self._took = (pieces if alone else 0), []
         if pieces > _VERY_FEW and not self._ended:
@@ -263,7 +265,8 @@ class _LazyClient:
         """Return whether processes would save less of few pieces than they take to start."""
         usual = sum(self._took) / max(len(self._took), 1)
         workers = min(self._settings[0] or available_cores(), self._left)
-        return self._left > 0 and (1.0 - 1.0 / workers) * self._left * usual < _start_takes()
+        takes = _FORK_S if _is_fork_server_ready() else _START_S
+        return self._left > 0 and (1.0 - 1.0 / workers) * self._left * usual < takes
 
     def end(self) -> None:
         """End the processes for good."""

@@ -45,7 +45,7 @@ _NEEDED_TO_SEARCH = ("inflight.tasks.analysis.revise", "inflight.tasks.analysis.
 _SEARCHES = ("update", "diagnose")
 #: Flows that begin with the days of the archive.
 _BEGIN_WITH_DAYS = (*_SEARCHES, "reprocess", "backfill", "monthly")
-#: Flows with work for several processes, more often than not; of a new day, its window's products are.
+#: Flows with work for several processes, more often than not: a new day changes the products of its window.
 _IN_PROCESSES = ("ingest", "reprocess", "backfill", "monthly", "diagnose", "update")
 #: Set in both modes: no telemetry, no log traffic.
 _QUIET = {

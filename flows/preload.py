@@ -5,6 +5,7 @@ for Zarr, models for units. Importing this module is all there is to do with it.
 """
 
 import gc
+from contextlib import suppress
 from importlib import import_module
 from typing import Final
 
@@ -46,7 +47,9 @@ gc.disable()
 try:
     for name in _IMPORTED:
         import_module(name)
-    _use_once()
+    # What fails here fails again in a task, which tells of it; without this process there would be none.
+    with suppress(Exception):
+        _use_once()
 finally:
     # What is imported stays: nor does it touch, and so copy, memory that the processes share.
     gc.freeze()

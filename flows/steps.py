@@ -429,7 +429,7 @@ def _diagnose_span(
         return diagnose_span(place, *span.as_text(), settings, finished=keep if page else None, **how)
 
     def draw() -> None:
-        # What draws is read by those who draw.
+        # Figures take a third of a second to import: who writes no page need not wait.
         from inflight.tasks.analysis import page_of_diagnosis, write_report
 
         output = page_of_diagnosis(place, settings.comparison, *span.as_text())

@@ -9,7 +9,7 @@ uses instead.
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
+import itertools
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,6 +23,9 @@ Result = TypeVar("Result")
 #: Runs a function over the argument lists of independent batches and yields the outcomes in order:
 #: (stage, function, argument lists).
 Mapper = Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[Any]]
+
+#: Batches of a process after which it gives memory back, and a count of them.
+_GIVES_BACK_AFTER, _batches = 8, itertools.count(1)
 
 #: Batches submitted to a Dask client at once, at most: enough to keep the processes busy (assumed).
 IN_FLIGHT = 16
@@ -74,13 +77,13 @@ def give_back_memory() -> None:
         trim(0)
 
 
-def give_back_memory_of_batch() -> None:
-    """Give back what a batch has let go of, in a process that does nothing but batches.
+def give_back_memory_at_times() -> None:
+    """Give memory back after every eighth batch of a process.
 
-    What the C library keeps there grows by a megabyte a batch of days, and a mission has hundreds. A command
-    that does its few batches itself keeps it: fetching it anew would cost more.
+    What the C library keeps grows by a megabyte a batch, of which a mission has hundreds. Who makes a few
+    need not fetch it anew each time.
     """
-    if multiprocessing.parent_process() is not None:
+    if next(_batches) % _GIVES_BACK_AFTER == 0:
         give_back_memory()
 
 

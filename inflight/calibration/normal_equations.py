@@ -250,6 +250,8 @@ def solve_sets(sets: Sequence[NormalEquations], prior_sigma: Floats, prior: Floa
     list of Solution
         Scaled, relative to each set's own reference.
     """
+    if not sets:
+        return []
     scale = sets[0].scale[:-1]
     references = np.array([blocks.first_reference for blocks in sets])
     centres = (prior - references) / scale

@@ -38,11 +38,11 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
     if residual.size == 0:
         return floor
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
-    return max(MAD_TO_SIGMA * _median(np.abs(part)), floor)
+    return max(MAD_TO_SIGMA * median_of_few(np.abs(part)), floor)
 
 
-def _median(values: Floats) -> float:
-    """Return the median of finite values, of which there is one at least: ten times quicker for a hundred."""
+def median_of_few(values: Floats) -> float:
+    """Return the median of finite values, of which there is one at least: numpy's, in a tenth of its time."""
     middle = values.size // 2
     if values.size % 2:
         return float(np.partition(values, middle)[middle])

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.lsq.robust import median_of_few
 
 #: Places of columns in a Gram matrix.
 Indices = npt.NDArray[np.int64]
@@ -102,10 +103,20 @@ def eigen_of_symmetric(matrix: Floats) -> tuple[Floats, Floats]:
         import scipy.linalg  # rarely needed, and slow to load
 
         flat = matrix.reshape(-1, *matrix.shape[-2:])
-        each = [scipy.linalg.eigh(one, driver="ev") for one in flat]
+        # The others are solved as ever: what is found of one must not depend on its neighbours.
+        each = [_eigen_or_none(one) or scipy.linalg.eigh(one, driver="ev") for one in flat]
         values = np.stack([one[0] for one in each]).reshape(matrix.shape[:-1])
         vectors = np.stack([one[1] for one in each]).reshape(matrix.shape)
     return np.asarray(values), np.asarray(vectors)
+
+
+def _eigen_or_none(matrix: Floats) -> tuple[Floats, Floats] | None:
+    """Return eigenvalues and eigenvectors of one matrix; None where divide and conquer does not converge."""
+    try:
+        values, vectors = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    return values, vectors
 
 
 def solve_scaled(
@@ -129,13 +140,18 @@ def solve_scaled(
     ------
     numpy.linalg.LinAlgError
         When the matrix is singular and `cut` is 0.
+    ValueError
+        When the systems do not fix the same unknowns.
     """
     vector = right.ndim < matrix.ndim
     columns = right[..., None] if vector else right
     if precision is None:
         found = _solve_free(matrix, columns, cut)
     else:
-        free = np.flatnonzero(np.isfinite(precision).reshape(-1, precision.shape[-1])[0])
+        finite = np.isfinite(precision).reshape(-1, precision.shape[-1])
+        if (finite != finite[:1]).any():
+            raise ValueError("systems that fix different unknowns are solved apart")
+        free = np.flatnonzero(finite[:1].any(axis=0))
         found = np.zeros(np.broadcast_shapes(columns.shape, matrix.shape[:-1] + columns.shape[-1:]))
         own = matrix[..., free[:, None], free] + precision[..., free, None] * np.eye(free.size)
         found[..., free, :] = _solve_free(own, columns[..., free, :], cut)
@@ -520,19 +536,10 @@ def solve_each(
             moved=moved[place],
             directions=one.vectors[:, one.known].T[::-1],
             variance=float(variances[place]),
-            inflation=_median(one.inflation[one.known]) if one.known.any() else 1.0,
+            inflation=median_of_few(one.inflation[one.known]) if one.known.any() else 1.0,
         )
         for place, one in sorted(found.items())
     ]
-
-
-def _median(values: Floats) -> float:
-    """Return the median of a few values: numpy's own takes most of the time of a small solution."""
-    ordered = np.sort(values)
-    middle = ordered.size // 2
-    if np.isnan(ordered[-1]) or ordered.size % 2:
-        return float(ordered[-1 if np.isnan(ordered[-1]) else middle])
-    return float((ordered[middle - 1] + ordered[middle]) / 2.0)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from inflight.tasks.pipelines.base import (
     Job,
     Pipeline,
     Plan,
+    ProductBatch,
     ReprocessSettings,
     UsedTable,
     Versions,
@@ -160,8 +161,8 @@ class _Case:
     def plan(self, pipeline: Pipeline | None = None) -> Plan:
         return (pipeline or self.pipeline).make_plan(self.cat, self.mission, self.settings, (None, None))
 
-    def run(self) -> RunReport:
-        return run_plan(self.pipeline, self.cat, self.mission, self.plan(), batch_mapper(None))
+    def run(self, pipeline: Pipeline | None = None) -> RunReport:
+        return run_plan(pipeline or self.pipeline, self.cat, self.mission, self.plan(), batch_mapper(None))
 
     def newer(self, part: str) -> Pipeline:
         """Return the pipeline with a version raised."""
@@ -230,7 +231,9 @@ def _makes_a_day(case: _Case) -> Iterator[str]:
 
 
 def _runs(case: _Case) -> Iterator[str]:
-    report = case.run()
+    watched, other = _with_whole_tables(case.pipeline)
+    report = case.run(watched)
+    yield from (f"rows_for leaves out of the table what the product of {day} takes" for day in other)
     yield from (f"day {one['day']}: {one['message']}" for one in report.problems if one["cause"] == "bug")
     if not report.days["done"]:
         yield f"a run makes no day: {[one['message'] for one in report.problems][:3]}"
@@ -241,6 +244,35 @@ def _runs(case: _Case) -> Iterator[str]:
     yield from (f"outputs names {one!r}, which is not there" for one in report.outputs if one not in known)
     remarks: list[object] = list(case.pipeline.remarks(report.as_json()))
     yield from (f"remarks gives {one!r}; give sentences" for one in remarks if not isinstance(one, str))
+
+
+def _with_whole_tables(pipeline: Pipeline) -> tuple[Pipeline, list[np.datetime64]]:
+    """Return a pipeline that makes products with the whole table, too; and the days that differ, once it has.
+
+    The pipeline itself where that gives each batch the whole table.
+    """
+    kind: Any = type(pipeline)
+    whole: list[tuple[xr.Dataset, xr.Dataset]] = []
+    other: list[np.datetime64] = []
+    if kind.rows_for is Pipeline.rows_for:
+        return pipeline, other
+
+    def rows_for(self: Pipeline, table: xr.Dataset, job: Job) -> xr.Dataset:
+        rows: xr.Dataset = kind.rows_for(self, table, job)
+        whole.append((rows, table))
+        return rows
+
+    def make_product(
+        self: Pipeline, batch: ProductBatch, day: np.datetime64
+    ) -> tuple[xr.Dataset, dict[str, Any]]:
+        table = next(table for rows, table in whole if rows is batch.table)
+        made, report = kind.make_product(self, batch, day)
+        if not made.identical(kind.make_product(self, replace(batch, table=table), day)[0]):
+            other.append(day)
+        return made, report
+
+    watching: Pipeline = type(kind.__name__, (kind,), {"rows_for": rows_for, "make_product": make_product})()
+    return watching, other
 
 
 def _runs_again(case: _Case) -> Iterator[str]:

@@ -8,8 +8,9 @@ from calibration_cases import IDEAL, PRIOR_SIGMA, TRUTH, Measured, ar1, measure,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.calibration import NormalEquations, ParameterPrior, fit_block
+from inflight.calibration import NormalEquations, ParameterPrior, fit_block, solve_sets
 from inflight.errors import CalibrationError
+from inflight.lsq import solve
 from inflight.time import DAY
 
 NEAR = ParameterPrior(TRUTH + np.array([1e-5] * 3 + [1e-3] * 3 + [0.3] * 3), PRIOR_SIGMA)
@@ -44,6 +45,26 @@ ALL = summed(SIX)
 
 def value_of(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     return equations.physical(equations.solve(PRIOR_SIGMA, IDEAL))
+
+
+def test_sets_of_days_solved_together_are_those_solved_one_by_one():
+    sets = [ALL.of_blocks(part).at_one_reference() for part in (slice(0, 1), slice(1, 4), slice(4, 6))]
+    sigmas, priors = np.array([PRIOR_SIGMA] * 3), np.array([IDEAL] * 3)
+    sigmas[1, 3], priors[2, 6:] = 0.0, 0.5  # one is fixed, others are looked for elsewhere
+    for one, sigma, prior, found in zip(sets, sigmas, priors, solve_sets(sets, sigmas, priors), strict=True):
+        for name, value in vars(one.solve(sigma, prior)).items():
+            np.testing.assert_array_equal(getattr(found, name), value, err_msg=name)
+    # Scatter between its days makes a set less certain than the sum of what each states.
+    alone = solve(
+        sets[1].total,
+        sum(day.scatter[0, :-1, :-1] for day in SIX[1:4]),
+        float(sets[1].count.sum()),
+        (priors[1] - sets[1].first_reference) / sets[1].scale[:-1],
+        sigmas[1] / sets[1].scale[:-1],
+    )
+    assert np.all(
+        np.diag(solve_sets(sets, sigmas, priors)[1].covariance) >= np.diag(alone.covariance) * 0.999
+    )
 
 
 def test_days_added_up_equal_one_fit_of_all_their_samples():

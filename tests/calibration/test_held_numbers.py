@@ -1,5 +1,7 @@
 """Numbers that a calibration holds: what their errors do to the nine parameters is in the covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from calibration_cases import TRUTH, measure, polar_orbit
@@ -8,6 +10,7 @@ from inflight.calibration import (
     Interval,
     NormalEquations,
     calibration_table,
+    concat_equations,
     day_parameters,
     fit_block,
     level2,
@@ -15,9 +18,15 @@ from inflight.calibration import (
     remove_other_effects,
 )
 from inflight.mission import Mission
-from inflight.mission_fit import held_numbers_of, held_products, held_shifts, with_held_numbers
+from inflight.mission_fit import (
+    held_numbers_of,
+    held_products,
+    held_shifts,
+    held_shifts_of_each,
+    with_held_numbers,
+)
 from inflight.model import Model
-from inflight.time import SECOND
+from inflight.time import DAY, SECOND
 
 TEXT = """
 mission: held
@@ -97,6 +106,25 @@ def test_what_one_sigma_of_each_number_does_is_what_it_does():
         assert clear.any()
         # Of either sign: only squares are used. The fit weighs rows robustly, the products do not.
         np.testing.assert_allclose(np.abs(moved)[clear], size[clear], rtol=0.15)
+
+
+def test_blocks_by_themselves_are_moved_as_one_that_is_fitted_alone():
+    random = np.random.default_rng(3)
+    _, _, fit, _, prior = fitted(np.zeros(5))
+    blocks = [
+        NormalEquations.from_fit(
+            replace(fit, gram=fit.gram * random.uniform(0.5, 2.0)), prior, (k * DAY, (k + 1) * DAY), {}
+        )
+        for k in range(6)
+    ]
+    products, noise = random.normal(size=(6, 5, 9)), random.uniform(0.1, 1.0, 6)
+    sigma = 10.0 ** random.uniform(-4, 1, (6, 9))
+    sigma[1, 2], sigma[4, :3] = 0.0, 0.0  # fixed ones, others in each block
+    each = held_shifts_of_each(concat_equations(blocks), products, sigma, noise)
+    assert np.all(each[1, :, 2] == 0.0)
+    assert np.all(each[0] != 0.0)
+    for k, block in enumerate(blocks):
+        np.testing.assert_array_equal(each[k], held_shifts(block, products[k : k + 1], sigma[k], noise[k]))
 
 
 def test_the_errors_of_twelve_seeds_are_covered_with_them_and_not_without():

@@ -19,7 +19,7 @@ from inflight.flows import runner as runner_module
 from inflight.flows.launch import prefect_environment, prefect_settings
 from inflight.flows.runner import PrefectRunner, is_transient, progress_to
 from inflight.flows.server import EmbeddedServer, _not_at_start, _prepare_database, is_own
-from inflight.tasks.batches import end_processes, iter_results
+from inflight.tasks.batches import end_processes, give_back_memory_at_times, iter_results
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):
@@ -182,6 +182,8 @@ def counted_clusters(monkeypatch):
     monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     monkeypatch.setattr("inflight.flows.cluster.dask_client", start)
     monkeypatch.setattr("inflight.flows.cluster.start_early", lambda: None)
+    # Tests before this one may have started the process that workers are forks of.
+    monkeypatch.setattr("inflight.flows.cluster._fork_server", lambda: 0)
     return told
 
 
@@ -255,6 +257,21 @@ def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters
     assert [one if isinstance(one, int) else one.result() for one in found] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize(("age_s", "first"), [(1.0, 0), (10.0, 1)], ids=["importing", "ready"])
+def test_some_pieces_are_given_to_processes_at_once_where_they_need_only_be_forked(
+    counted_clusters, monkeypatch, age_s, first
+):
+    monkeypatch.setattr("inflight.flows.cluster._fork_server", lambda: 7)
+    monkeypatch.setattr("inflight.flows.cluster._fork_server_began", {7: time.monotonic() - age_s})
+    with lazy_client(2) as client:
+        client.expect(2)
+        client.submit(abs, -1)
+        assert counted_clusters == []
+        client.expect(3)
+        client.submit(abs, -1)
+        assert len(counted_clusters) == first
+
+
 def test_many_pieces_and_those_for_a_running_scheduler_are_given_to_processes(counted_clusters, monkeypatch):
     with lazy_client(2) as client:
         client.expect(7)
@@ -274,6 +291,14 @@ def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_c
     with lazy_client(2) as client, pytest.raises(ReadError, match="piece 7"):
         list(iter_results(client, broken, [(7,)]))
     assert counted_clusters == []
+
+
+def test_a_process_gives_memory_back_after_some_batches(monkeypatch):
+    given = []
+    monkeypatch.setattr("inflight.tasks.batches.give_back_memory", lambda: given.append(1))
+    for _ in range(24):
+        give_back_memory_at_times()
+    assert len(given) == 3
 
 
 @pytest.mark.parametrize(("pieces", "others", "ends"), [(13, 0, 1), (12, 0, 0), (13, 1, 0)])

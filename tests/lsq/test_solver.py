@@ -88,6 +88,36 @@ def test_equations_that_are_solved_together_have_the_solutions_that_each_has_alo
             np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
 
 
+def test_a_matrix_for_which_divide_and_conquer_fails_changes_nothing_of_the_others(monkeypatch):
+    random, eigh = np.random.default_rng(8), np.linalg.eigh
+    rows = random.normal(size=(5, 30, 4))
+    matrices = rows.swapaxes(1, 2) @ rows
+
+    def failing(matrix):
+        if any(np.array_equal(one, matrices[2]) for one in matrix.reshape(-1, 4, 4)):
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return eigh(matrix)
+
+    sound = eigen_of_symmetric(matrices)
+    monkeypatch.setattr(np.linalg, "eigh", failing)
+    values, vectors = eigen_of_symmetric(matrices)
+    others = [0, 1, 3, 4]
+    np.testing.assert_array_equal(values[others], sound[0][others])
+    np.testing.assert_array_equal(vectors[others], sound[1][others])
+    np.testing.assert_allclose(values[2], sound[0][2], rtol=1e-10)
+    np.testing.assert_allclose(vectors[2] * values[2] @ vectors[2].T, matrices[2], rtol=1e-9)
+
+
+def test_systems_that_fix_different_unknowns_are_refused():
+    precision = np.array([[1.0, np.inf], [np.inf, 1.0]])
+    with pytest.raises(ValueError, match="fix different unknowns"):
+        solve_scaled(np.array([np.eye(2)] * 2), np.ones((2, 2)), 0.0, precision)
+    found = solve_scaled(
+        np.array([np.eye(2)] * 2), np.ones((2, 2)), 0.0, np.array([[1.0, np.inf], [3.0, np.inf]])
+    )
+    np.testing.assert_allclose(found, [[0.5, 0.0], [0.25, 0.0]])
+
+
 def test_no_equations_have_no_solutions():
     none = np.zeros((0, 4))
     assert solve_each(np.zeros((0, 5, 5)), np.zeros((0, 4, 4)), np.zeros(0), none, none) == []

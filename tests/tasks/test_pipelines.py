@@ -205,6 +205,20 @@ def test_products_without_units_are_found(tiny):
     assert "no 'coverage'" in told.value.message
 
 
+class WrongRows(ScalarPipeline):
+    """The products of all batches get the values of the first row of the table."""
+
+    def rows_for(self, table, job):
+        return table.assign(value=table["value"][0].broadcast_like(table["value"]))
+
+
+def test_rows_that_make_other_products_are_found(tiny):
+    with pytest.raises(ConformanceError) as told:
+        check_pipeline(WrongRows(), tiny, ReprocessSettings(table="daily"))
+    assert "rows_for leaves out of the table what the product of 2024-03-02 takes" in told.value.message
+    assert "2024-03-01" not in told.value.message
+
+
 def test_the_table_says_which_pipeline_calibrates_a_comparison():
     tags = {}
     for name, path in shipped_missions().items():

@@ -22,7 +22,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.progress import Progress, silent
 from inflight.tasks.archive import spin_problems, substitution_problems
-from inflight.tasks.batches import Mapper, give_back_memory, give_back_memory_of_batch
+from inflight.tasks.batches import Mapper, give_back_memory, give_back_memory_at_times
 from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.origins import context_label, origin_attributes, table_label
@@ -236,7 +236,7 @@ def _make_pass(
 def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
     """Make the statistics of a batch of days in a worker, and write them as one segment."""
     outcome = make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
-    give_back_memory_of_batch()
+    give_back_memory_at_times()
     return outcome
 
 
@@ -251,7 +251,7 @@ def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None =
         return product.assign_attrs(origin_attributes(pipeline, batch, day, report)), report
 
     outcome = make_days(batch.cat, batch.job, make, folder=folder)
-    give_back_memory_of_batch()
+    give_back_memory_at_times()
     return outcome
 
 

@@ -206,13 +206,15 @@ def window_table(
     """
     each, parts, bare, used = [], [], equations.bare, equations.dataset["used"].values
     held = _held_products(equations)
-    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
+    spans = list(itertools.pairwise(day_bounds(edge)[0] for edge in edges))
+    for start, end in tell_each(progress, "intervals", spans):
         inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
         if inside.size:
             filled = inside[bare.count[inside] > 0]
-            parts.append(_Window(start, end, bare.of_blocks(inside), held[filled], float(used[filled].sum())))
+            blocks = bare.of_blocks(filled if filled.size else inside)
+            parts.append(_Window(start, end, blocks, held[filled], float(used[filled].sum())))
             each.append(inside)
-    rows = _solved_windows(parts, model, progress)
+    rows = _solved_windows(parts, model)
     made_by: dict[str, Any] = {}
     if form != "exact":
         rows, made_by = _published_rows(equations, rows, each, model, form)
@@ -273,7 +275,10 @@ def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -
 
 
 class _Window(NamedTuple):
-    """A span, its blocks, products with the held numbers of those with data, and the samples of these."""
+    """A span, its blocks, their products with the held numbers, and their samples.
+
+    Blocks without data are left out, and have no products; where all are, all stand here.
+    """
 
     start: int
     end: int
@@ -282,22 +287,19 @@ class _Window(NamedTuple):
     used: float
 
 
-def _solved_windows(parts: Sequence[_Window], model: Model, progress: Progress) -> list[Interval]:
+def _solved_windows(parts: Sequence[_Window], model: Model) -> list[Interval]:
     """Return the row of each span: the sum of its blocks, solved with the model's prior."""
-    # Days without data have no products.
-    filled = [part.blocks.filled for part in parts]
-    there = [place for place, blocks in enumerate(filled) if len(blocks)]
+    there = [place for place, part in enumerate(parts) if len(part.blocks.filled)]
     priors = {
-        place: reference_of(model, int(filled[place].start[0] // 2 + filled[place].end[-1] // 2))
+        place: reference_of(model, int(blocks.start[0] // 2 + blocks.end[-1] // 2))
         for place in there
+        for blocks in (parts[place].blocks,)
     }
-    common = {place: filled[place].at(priors[place].value) for place in there}
-    solved: dict[int, Solution] = {}
-    if there:
-        known = (np.array([getattr(prior, name) for prior in priors.values()]) for name in ("sigma", "value"))
-        solved = dict(zip(there, solve_sets(list(common.values()), *known), strict=True))
+    common = {place: parts[place].blocks.at(priors[place].value) for place in there}
+    sigma, prior = (np.array([getattr(one, name) for one in priors.values()]) for name in ("sigma", "value"))
+    solved = dict(zip(there, solve_sets(list(common.values()), sigma, prior), strict=True))
     rows = []
-    for place, part in enumerate(tell_each(progress, "intervals", parts)):
+    for place, part in enumerate(parts):
         if place not in solved:
             rows.append(_prior_interval(part.blocks, model, part.start, part.end))
             continue
