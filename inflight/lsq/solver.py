@@ -148,10 +148,11 @@ def solve_scaled(
     if precision is None:
         found = _solve_free(matrix, columns, cut)
     else:
-        finite = np.isfinite(precision).reshape(-1, precision.shape[-1])
-        if (finite != finite[:1]).any():
+        finite = np.isfinite(precision)
+        somewhere = finite.any(axis=tuple(range(finite.ndim - 1)))
+        if (finite != somewhere).any():
             raise ValueError("systems that fix different unknowns are solved apart")
-        free = np.flatnonzero(finite[:1].any(axis=0))
+        free = np.flatnonzero(somewhere)
         found = np.zeros(np.broadcast_shapes(columns.shape, matrix.shape[:-1] + columns.shape[-1:]))
         own = matrix[..., free[:, None], free] + precision[..., free, None] * np.eye(free.size)
         found[..., free, :] = _solve_free(own, columns[..., free, :], cut)

@@ -116,6 +116,11 @@ def test_systems_that_fix_different_unknowns_are_refused():
         np.array([np.eye(2)] * 2), np.ones((2, 2)), 0.0, np.array([[1.0, np.inf], [3.0, np.inf]])
     )
     np.testing.assert_allclose(found, [[0.5, 0.0], [0.25, 0.0]])
+    for systems, unknowns in ((0, 2), (1, 0)):
+        shape = (systems, unknowns)
+        none = solve_scaled(np.zeros((*shape, unknowns)), np.zeros(shape), 0.0, np.zeros(shape))
+        assert none.shape == shape
+    assert solve_scaled(np.zeros((1, 0, 0)), np.zeros((1, 0, 1)), 0.0, np.zeros(0)).shape == (1, 0, 1)
 
 
 def test_no_equations_have_no_solutions():
