@@ -514,7 +514,7 @@ class ArchiveIndex:
             (
                 need.dataset,
                 need.days_before,
-                _has_own_stamps(need, base),
+                _needs_neighbours(need, base),
                 need.channel if need.replaceable else "",
             ): need
             for need in needs
@@ -538,12 +538,12 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if _has_own_stamps(need, base):
+        if _needs_neighbours(need, base):
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
 
-def _has_own_stamps(need: Need, base: Need) -> bool:
+def _needs_neighbours(need: Need, base: Need) -> bool:
     """Return True when a day of a series needs its neighbours, wherever its stamps lie.
 
     The phase of the spin and its axis always run on over midnight.

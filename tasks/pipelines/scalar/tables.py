@@ -289,13 +289,12 @@ class _Window(NamedTuple):
 
 def _solved_windows(parts: Sequence[_Window], model: Model) -> list[Interval]:
     """Return the row of each span: the sum of its blocks, solved with the model's prior."""
-    there = [place for place, part in enumerate(parts) if len(part.blocks.filled)]
+    there = {place: part.blocks for place, part in enumerate(parts) if len(part.blocks.filled)}
     priors = {
         place: reference_of(model, int(blocks.start[0] // 2 + blocks.end[-1] // 2))
-        for place in there
-        for blocks in (parts[place].blocks,)
+        for place, blocks in there.items()
     }
-    common = {place: parts[place].blocks.at(priors[place].value) for place in there}
+    common = {place: blocks.at(priors[place].value) for place, blocks in there.items()}
     sigma, prior = (np.array([getattr(one, name) for one in priors.values()]) for name in ("sigma", "value"))
     solved = dict(zip(there, solve_sets(list(common.values()), sigma, prior), strict=True))
     rows = []
