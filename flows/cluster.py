@@ -49,7 +49,7 @@ _PRELOAD = ["inflight.flows.preload"]
 #: is ready.
 _START_S, _FORK_S = 3.0, 0.5
 #: How many pieces of work are few. Of more, the first is not tried here: it would keep all processes waiting.
-#: For very few, nothing gets ready before it pays, nor is anything given away.
+#: For very few, nothing gets ready before it pays; they are tried here even where processes are ready.
 _FEW, _VERY_FEW = 6, 2
 #: Pieces of work that only a long record has.
 _MUCH = 12

@@ -46,7 +46,7 @@ _SEARCHES = ("update", "diagnose")
 #: Flows that begin with the days of the archive.
 _BEGIN_WITH_DAYS = (*_SEARCHES, "reprocess", "backfill", "monthly")
 #: Flows with work for several processes, more often than not: a new day changes the products of its window.
-_IN_PROCESSES = ("ingest", "reprocess", "backfill", "monthly", "diagnose", "update")
+_IN_PROCESSES = ("ingest", *_BEGIN_WITH_DAYS)
 #: Set in both modes: no telemetry, no log traffic.
 _QUIET = {
     "DO_NOT_TRACK": "1",

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq.robust import median_of_few
+from inflight.lsq.robust import median_of_finite
 
 #: Places of columns in a Gram matrix.
 Indices = npt.NDArray[np.int64]
@@ -100,23 +100,16 @@ def eigen_of_symmetric(matrix: Floats) -> tuple[Floats, Floats]:
     except np.linalg.LinAlgError:
         if not np.isfinite(matrix).all():
             raise
-        import scipy.linalg  # rarely needed, and slow to load
+        if matrix.ndim > 2:
+            # Each by itself: what is found of one must not depend on its neighbours.
+            each = [eigen_of_symmetric(one) for one in matrix.reshape(-1, *matrix.shape[-2:])]
+            values = np.stack([one[0] for one in each]).reshape(matrix.shape[:-1])
+            vectors = np.stack([one[1] for one in each]).reshape(matrix.shape)
+        else:
+            import scipy.linalg  # rarely needed, and slow to load
 
-        flat = matrix.reshape(-1, *matrix.shape[-2:])
-        # The others are solved as ever: what is found of one must not depend on its neighbours.
-        each = [_eigen_or_none(one) or scipy.linalg.eigh(one, driver="ev") for one in flat]
-        values = np.stack([one[0] for one in each]).reshape(matrix.shape[:-1])
-        vectors = np.stack([one[1] for one in each]).reshape(matrix.shape)
+            values, vectors = scipy.linalg.eigh(matrix, driver="ev")
     return np.asarray(values), np.asarray(vectors)
-
-
-def _eigen_or_none(matrix: Floats) -> tuple[Floats, Floats] | None:
-    """Return eigenvalues and eigenvectors of one matrix; None where divide and conquer does not converge."""
-    try:
-        values, vectors = np.linalg.eigh(matrix)
-    except np.linalg.LinAlgError:
-        return None
-    return values, vectors
 
 
 def solve_scaled(
@@ -537,7 +530,7 @@ def solve_each(
             moved=moved[place],
             directions=one.vectors[:, one.known].T[::-1],
             variance=float(variances[place]),
-            inflation=median_of_few(one.inflation[one.known]) if one.known.any() else 1.0,
+            inflation=median_of_finite(one.inflation[one.known]) if one.known.any() else 1.0,
         )
         for place, one in sorted(found.items())
     ]

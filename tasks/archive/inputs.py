@@ -477,9 +477,6 @@ class ArchiveIndex:
             channels = source.report.get("channels", {})
             return float(channels.get(need.channel, {}).get("coverage", 1.0))
 
-        own = self.get(need, day)
-        if own is not None and coverage(own) >= INPUT_SETTINGS.least_coverage:
-            return [own]
         far = INPUT_SETTINGS.typical_value_days + 1
         for least in (INPUT_SETTINGS.least_coverage, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
@@ -503,51 +500,29 @@ class ArchiveIndex:
 
     def sources(self, needs: Sequence[Need], day: np.datetime64, base: Need) -> list[Day]:
         """Return the archive days one day's samples are made from, in a fixed order."""
-        return self.sources_of_days(needs, [day], base)[day]
-
-    def sources_of_days(
-        self, needs: Sequence[Need], days: Iterable[np.datetime64], base: Need
-    ) -> dict[np.datetime64, list[Day]]:
-        """Return the archive days that the samples of each of some days are made from, in a fixed order."""
-        # Of needs that are made from the same days of a dataset, one is looked at.
-        distinct = {
-            (
-                need.dataset,
-                need.days_before,
-                _needs_neighbours(need, base),
-                need.channel if need.replaceable else "",
-            ): need
-            for need in needs
-        }
-        earliest = max((before for _, before, _, _ in distinct), default=0)
-        out = {}
-        for day in days:
-            found: list[Day | None] = []
-            near = {step: day + step * _DAY for step in range(-earliest, 2)}
-            for (dataset, before, _, _), need in distinct.items():
-                steps = range(1) if self.shares_stamps(need, base, day) else range(-before, 2)
-                found += [self.days.get((dataset, near[step])) for step in steps]
-                if need.replaceable:
-                    found += self.typical_days(need, day)
-            unique = {source.id: source for source in found if source is not None}
-            out[day] = [unique[key] for key in sorted(unique)]
-        return out
+        found = []
+        before = [need.days_before for need in needs]
+        near = {step: day + step * _DAY for step in range(-max(before, default=0), 2)}
+        for need, earliest in zip(needs, before, strict=True):
+            steps = range(1) if self.shares_stamps(need, base, day) else range(-earliest, 2)
+            found += [self.get(need, near[step]) for step in steps]
+            if need.replaceable:
+                found += self.typical_days(need, day)
+        unique = {source.id: source for source in found if source is not None}
+        return [unique[key] for key in sorted(unique)]
 
     def shares_stamps(self, need: Need, base: Need, day: np.datetime64) -> bool:
-        """Return True when a series has the base's stamps, and a day of it needs none of its neighbours."""
+        """Return True when a series has the base's stamps, and a day of it needs none of its neighbours.
+
+        The phase of the spin and its axis always run on over midnight.
+        """
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if _needs_neighbours(need, base):
+        if need.lag_ns or need.part or need.smooth_ns or need.average_ns or need.around_ns:
+            return False
+        if need.name in (SPIN_PHASE, SPIN_AXIS):
+            return False
+        if need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
-
-
-def _needs_neighbours(need: Need, base: Need) -> bool:
-    """Return True when a day of a series needs its neighbours, wherever its stamps lie.
-
-    The phase of the spin and its axis always run on over midnight.
-    """
-    if need.lag_ns or need.part or need.smooth_ns or need.average_ns or need.around_ns:
-        return True
-    return need.name in (SPIN_PHASE, SPIN_AXIS) or need.cadence_ns != base.cadence_ns

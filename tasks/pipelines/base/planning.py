@@ -382,12 +382,11 @@ def plan_archive_days(
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
     has_play = any(need.part is not None and need.part.width for need in needs)
     by_itself = [replace(need, around_ns=0) for need in needs]
-    sources = index.sources_of_days(by_itself, complete, base)
-    reaching = index.sources_of_days([need for need in needs if need.around_ns], complete, base)
-    neighbours = {}
+    sources = {day: index.sources(by_itself, day, base) for day in complete}
+    reaching, neighbours = [need for need in needs if need.around_ns], {}
     for day, own in sources.items():
         known = {one.id for one in own}
-        neighbours[day] = [one for one in reaching[day] if one.id not in known]
+        neighbours[day] = [one for one in index.sources(reaching, day, base) if one.id not in known]
     planned = plan_days(
         cat,
         mission,
