@@ -38,7 +38,9 @@ def main() -> int:
             file=sys.stderr,
         )
         return 2
-    console, outcomes = Console(width=given.width), []
+    # Into a file or a pipe, tables stay whole.
+    width = given.width or (None if sys.stdout.isatty() else 200)
+    console, outcomes = Console(width=width), []
     seeds = list(range(given.first_seed, given.first_seed + given.seeds))
     for outcome in run_cases(names, seeds, given.jobs, not given.simulate_only, given.keep):
         outcomes.append(outcome)
