@@ -16,6 +16,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.table import Table
 
+from inflight.cli.command import Command
+
 from .run import Outcome, run_cases
 from .scenarios import scenarios
 from .score import is_named
@@ -38,9 +40,7 @@ def main() -> int:
             file=sys.stderr,
         )
         return 2
-    # Into a file or a pipe, tables stay whole.
-    width = given.width or (None if sys.stdout.isatty() else 200)
-    console, outcomes = Console(width=width), []
+    console, outcomes = Console(width=given.width) if given.width else Command().console, []
     seeds = list(range(given.first_seed, given.first_seed + given.seeds))
     for outcome in run_cases(names, seeds, given.jobs, not given.simulate_only, given.keep):
         outcomes.append(outcome)
