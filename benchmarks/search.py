@@ -120,7 +120,7 @@ def _ranking(candidates: int, draws: int) -> list[Row]:
         for _ in range(3):
             first += timed(marginalised)
             second += timed(ranked)
-        matrix = made.raw.shared.rest
+        matrix = made.raw.shared.rest.values
         floor = min(timed(lambda: matrix.sum(axis=0), 3))
         rows = np.random.default_rng(0).normal(size=(FITS * _DAY_ROWS, 9 + 2 + WIDTH))
         refit = blocks * candidates * lstsq_s(rows, rows[:, 0] + 1.0, 3)

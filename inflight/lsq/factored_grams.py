@@ -43,10 +43,10 @@ from inflight.lsq.gram_blocks import (
     centred_gram,
     in_turns,
     is_residual,
-    pack,
     places_of,
 )
 from inflight.lsq.solver import SOLVER_SETTINGS, Indices, solve_scaled
+from inflight.lsq.triangles import Triangles, places_of_entries
 
 #: Begin of a fit that a block does not have.
 NO_FIT = int(np.iinfo(np.int64).max)
@@ -60,18 +60,22 @@ class _Shared:
 
     Attributes
     ----------
-    rest : ndarray of float32, shape (block, column, column)
+    rest : Triangles
+        Of all columns.
     given, fitted : ndarray, shape (block, fit, base, column)
         B and F of each fit of the calibration; the calibration's own columns come first.
     base : int
         Columns of the calibration.
-    width : int
-        Columns in use; the arrays may have room for more.
     """
 
-    def __init__(self, rest: npt.NDArray[np.float32], given: Floats, fitted: Floats | None = None) -> None:
+    def __init__(self, rest: Triangles, given: Floats, fitted: Floats | None = None) -> None:
         self.rest, self.given, self._fitted = rest, given, fitted
-        self.base, self.width = given.shape[2], rest.shape[1]
+        self.base = given.shape[2]
+
+    @property
+    def width(self) -> int:
+        """Columns in use."""
+        return self.rest.width
 
     @property
     def fitted(self) -> Floats:
@@ -99,26 +103,19 @@ class _Shared:
         given, fitted : ndarray, shape (block, fit, base, new column)
         """
         old, new = self.width, self.width + inner.shape[-1]
-        if new > self.rest.shape[1]:
+        if new > self.given.shape[-1]:
             self._widen(new + int(_ROOM * new))
-        self.rest[:, :old, old:new] = across
-        self.rest[:, old:new, :old] = across.swapaxes(1, 2)
-        self.rest[:, old:new, old:new] = inner
+        self.rest.append(across, inner, self.given.shape[-1])
         self.given[..., old:new], self.fitted[..., old:new] = given, fitted
-        self.width = new
         return slice(old, new)
 
     def _widen(self, width: int) -> None:
-        used = slice(0, self.width)
-
         def wider(old: Floats) -> Floats:
             new = np.zeros((*old.shape[:3], width))
-            new[..., used] = old[..., used]
+            new[..., : self.width] = old[..., : self.width]
             return new
 
-        rest = np.zeros((len(self.rest), width, width), dtype=np.float32)
-        rest[:, used, used] = self.rest[:, used, used]
-        self.rest, self.given, self._fitted = rest, wider(self.given), wider(self.fitted)
+        self.given, self._fitted = wider(self.given), wider(self.fitted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,14 +172,14 @@ class FactoredGrams:
         places, k = grams.index(order), len(base)
         given = grams.rows(places[:k], places)[:, None]
         fitted = _own_fits(given)
-        rest = np.zeros((len(grams), places.size, places.size), dtype=np.float32)
+        rest = Triangles.zeros(len(grams), places.size)
         for block in range(len(grams)):
             b, f = given[block, 0], fitted[block, 0][:, k:]
             cross = f.T @ (b[:, k:] - 0.5 * b[:, :k] @ f)
             left = grams.rows(places[k:], places[k:], np.array([block]))[0]
             left -= cross
             left -= cross.T
-            rest[block, k:, k:] = left
+            rest.put(block, left)
         known = grams.start, grams.end, grams.count, grams.scale
         return cls._stored(grams.names, places, *known, rest, given, fitted)
 
@@ -226,26 +223,25 @@ class FactoredGrams:
         if not np.array_equal(places, np.arange(places.size)):
             values = values[places[:count]]
         given = np.zeros((len(parts), 1, k, places.size))
-        pieces = [
-            (at, row, some)
-            for at, part in enumerate(parts)
-            for row in range(rows)
-            for some in in_turns(part, _ROWS)
-        ]
-        for at, row, some in pieces:
-            weighted = values[:k, row, some] * weight[some]
-            given[at, 0, :, :count] += weighted @ values[:, row, some].T
-            given[at, 0, :, count:] += weighted @ residual[:, row, some].T
+        pieces = [[(row, some) for row in range(rows) for some in in_turns(part, _ROWS)] for part in parts]
+        for at, own in enumerate(pieces):
+            for row, some in own:
+                weighted = values[:k, row, some] * weight[some]
+                given[at, 0, :, :count] += weighted @ values[:, row, some].T
+                given[at, 0, :, count:] += weighted @ residual[:, row, some].T
         fitted, root = _own_fits(given), np.sqrt(np.clip(weight, 0.0, None)).astype(np.float32)
-        rest = np.zeros((len(parts), places.size, places.size), dtype=np.float32)
-        for at, row, some in pieces:
-            left = np.empty((places.size - k, some.stop - some.start), dtype=np.float32)
-            fit, own = fitted[at, 0].T, values[:k, row, some]
-            np.subtract(values[k:, row, some], fit[k:count] @ own, out=left[: count - k], casting="same_kind")
-            np.subtract(residual[:, row, some], fit[count:] @ own, out=left[count - k :], casting="same_kind")
-            if not np.all(root[some] == 1.0):
-                left *= root[some]
-            rest[at, k:, k:] += left @ left.T
+        rest, whole = Triangles.zeros(len(parts), places.size), bool(np.all(root == 1.0))
+        for at, own in enumerate(pieces):
+            fit, total = fitted[at, 0].T, np.zeros((places.size - k, places.size - k), dtype=np.float32)
+            for row, some in own:
+                left = np.empty((places.size - k, some.stop - some.start), dtype=np.float32)
+                of, library, others = values[:k, row, some], values[k:, row, some], residual[:, row, some]
+                np.subtract(library, fit[k:count] @ of, out=left[: count - k], casting="same_kind")
+                np.subtract(others, fit[count:] @ of, out=left[count - k :], casting="same_kind")
+                if not whole:
+                    left *= root[some]
+                total += left @ left.T
+            rest.put(at, total)
         good = np.array([weight[part].sum() * rows for part in parts])
         return cls._stored(tuple(names), places, *span, good, scale, rest, given, fitted)
 
@@ -258,7 +254,7 @@ class FactoredGrams:
         end: npt.NDArray[np.int64],
         count: Floats,
         scale: Floats,
-        rest: npt.NDArray[np.float32],
+        rest: Triangles,
         given: Floats,
         fitted: Floats,
     ) -> Self:
@@ -278,7 +274,7 @@ class FactoredGrams:
             Fits that there is room for in a block, at least.
         """
         every = [self, *others]
-        rest = self.shared.rest if not others else np.sum([one.shared.rest for one in every], axis=0)
+        rest = self.shared.rest if not others else Triangles.sum([one.shared.rest for one in every])
         given = np.concatenate([one.shared.given for one in every], axis=1)
         begins = np.concatenate([one.begins for one in every], axis=1)
         room = max(fits - begins.shape[1], 0)
@@ -299,9 +295,10 @@ class FactoredGrams:
         given = self.shared.given.sum(axis=1, keepdims=True)
         fitted, stored = _own_fits(given), np.argsort(self.places)
         left = replace(self, taken=fitted[:, 0][..., self.places], interval=np.arange(len(self)))
-        rest = left.rows(stored, stored).astype(np.float32)
-        k = self.shared.base
-        rest[:, :k] = rest[:, :, :k] = 0.0
+        other = stored[self.shared.base :]
+        rest = Triangles.zeros(len(self), stored.size)
+        for block, matrix in enumerate(left.rows(other, other)):
+            rest.put(block, matrix)
         return replace(self, begins=self.begins[:, :1], shared=_Shared(rest, given, fitted))
 
     # In a store.
@@ -309,11 +306,13 @@ class FactoredGrams:
     def as_dataset(self) -> xr.Dataset:
         """Return the blocks as a Dataset for a store; `FactoredGrams.read` makes blocks of such."""
         k = self.shared.base
-        used = slice(k, self.shared.width)
+        # A store has the upper triangle row by row, without the calibration's columns.
+        first, second = np.triu_indices(self.shared.width - k)
+        rest = self.shared.rest.values.take(places_of_entries(first + k, second + k), axis=1)
         given = {"given": (("block", "fit", "base", "column"), self.shared.given, {"units": "nT2"})}
         return xr.Dataset(
             {
-                "rest": (("block", "entry"), pack(self.shared.rest[:, used, used]), {"units": "nT2"}),
+                "rest": (("block", "entry"), rest, {"units": "nT2"}),
                 # A store has no arrays without an element: a calibration without columns is not kept.
                 **(given if k else {}),
                 "begins": (("block", "fit"), self.begins, {"units": "ns", "scale": "TT2000"}),
@@ -358,18 +357,17 @@ class FactoredGrams:
         order, width = [stored[place] for place in kept], kept.size
         places = {name: place for place, name in enumerate(order)}
         own = [place for place, name in enumerate(names) if name in places]
-        # Of each entry of a square matrix, its place in the packed triangle.
-        table = np.zeros((len(stored) - k, len(stored) - k), dtype=np.int64)
-        upper = np.triu_indices(len(table))
-        table[upper] = table.T[upper] = np.arange(upper[0].size)
-        table = table[np.ix_(kept[k:] - k, kept[k:] - k)]
-        rest = np.zeros((blocks, width, width), dtype=np.float32)
+        # Where each entry is in a store: its upper triangle, row by row.
+        second, first = (kept[places + k] - k for places in np.tril_indices(width - k))
+        table = first * (2 * (len(stored) - k) - first - 1) // 2 + second
+        entries = places_of_entries(*(places + k for places in np.tril_indices(width - k)))
+        rest = Triangles.zeros(blocks, width)
         known: dict[str, Any] = {}
         at = 0
         for part in parts:
             some = part["rest"].values
             for place, packed in enumerate(some, start=at):
-                rest[place, k:, k:] = packed[table]
+                rest.values[place, entries] = packed[table]
             nothing = np.zeros((*part["begins"].shape, 0, len(stored)))
             for name in ("given", "begins", "start", "end", "count"):
                 values = part[name].values if name in part else nothing
@@ -493,13 +491,9 @@ class FactoredGrams:
         matrix, places, factored = self.shared.rest, self.places, not self._is_rest
         out = np.empty((which.size, own.size, other.size))
         rank = 2 * self.fits * self.shared.base if factored else 1
-        for some in _in_parts(which.size, max(own.size * matrix.shape[1], rank * other.size)):
+        for some in _in_parts(which.size, max(own.size, rank) * other.size):
             blocks = which[some]
-            if other.size < _FEW:
-                out[some] = _entries(matrix, blocks, places[own][:, None], places[other])
-            else:
-                # Whole rows lie together in memory.
-                out[some] = matrix[blocks[:, None], places[own]].take(places[other], axis=2)
+            out[some] = matrix.at(blocks, places[own][:, None], places[other])
             if factored:
                 self._add_factors(out[some], own, other, blocks)
         self._clear(out, own, other)
@@ -558,7 +552,7 @@ class FactoredGrams:
         size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
         for some in _in_parts(which.size, size):
             part = which[some]
-            out[some] = _entries(matrix, part, at[:, :, None], at[:, None, :])
+            out[some] = matrix.at(part, at[:, :, None], at[:, None, :])
             if factored:
                 for left, right in self._factors(groups.ravel(), part):
                     product = _within(left, right, groups.shape[-1])
@@ -574,7 +568,7 @@ class FactoredGrams:
         return self._squares_of(np.arange(len(self.names)))
 
     def _squares_of(self, columns: Indices) -> Floats:
-        out = np.einsum("bii->bi", self.shared.rest)[:, self.places[columns]].astype(np.float64)
+        out = self.shared.rest.diagonal(self.places[columns]).astype(np.float64)
         for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * columns.size):
             if not self._is_rest:
                 for left, right in self._factors(columns, np.arange(len(self))[some]):
@@ -596,8 +590,8 @@ class FactoredGrams:
         """Return the sum over the blocks of each fold; kept, because every question asks for them."""
         key = tuple(tuple(np.asarray(fold).tolist()) for fold in folds)
         if key not in self._sums:
-            every, grid = np.arange(len(self.names)), np.ix_(self.places, self.places)
-            out = [_sum_of(self.shared.rest, fold, self.shared.width)[grid] for fold in folds]
+            every = np.arange(len(self.names))
+            out = [self.shared.rest.sum_of(fold, self.places) for fold in folds]
             if not self._is_rest:
                 size = 4 * self.fits * max(self.shared.base, 1) * every.size
                 for place, fold in enumerate(folds):
@@ -649,8 +643,7 @@ class FactoredGrams:
             places=np.searchsorted(stored, self.places[kept]),
             scale=self.scale[kept],
             shared=_Shared(
-                # A matrix of each block lies together, as everywhere.
-                np.ascontiguousarray(self.shared.rest[:, stored[:, None], stored]),
+                self.shared.rest.select(stored),
                 np.ascontiguousarray(self.shared.given[..., stored]),
                 np.ascontiguousarray(self.shared.fitted[..., stored]),
             ),
@@ -904,15 +897,6 @@ _ROWS = 4_320
 _AT_ONCE = 200_000
 
 
-def _sum_of(matrix: npt.NDArray[np.float32], blocks: Indices, width: int) -> Floats:
-    """Return the sum of the first columns of some blocks' matrices, in double precision; (width, width)."""
-    used = slice(0, min(width, matrix.shape[1]))
-    out = np.zeros((used.stop, used.stop))
-    for block in np.asarray(blocks).tolist():
-        out += matrix[block, used, used]
-    return out
-
-
 def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:
     """Return some columns (the last axis) of some blocks (the first one); of neighbours nothing is copied."""
     if columns.size < _FEW and not _are_neighbours(columns):
@@ -954,19 +938,6 @@ def _within(left: Floats, right: Floats, k: int) -> Floats:
             own = np.einsum("ngiaib->ngiab", product)
             out[:, first:last] = own.reshape(left.shape[0], -1, k, k)
     return out
-
-
-def _entries(
-    matrix: npt.NDArray[np.float32], blocks: Indices, rows: Indices, columns: Indices
-) -> npt.NDArray[np.float32]:
-    """Return some entries of some blocks' matrices; (block, ...), of the shape that both indices have."""
-    if not _are_neighbours(blocks):
-        each = blocks.reshape(-1, *[1] * np.broadcast(rows, columns).ndim)
-        return np.asarray(matrix[each, rows, columns])
-    some = matrix[blocks[0] : blocks[-1] + 1]
-    # One index takes a fraction of the time of three.
-    at = rows * matrix.shape[2] + columns
-    return np.asarray(some.reshape(len(some), -1).take(at.ravel(), axis=1).reshape(len(some), *at.shape))
 
 
 def _are_neighbours(places: Indices) -> bool:
