@@ -45,7 +45,7 @@ from inflight.lsq.gram_blocks import (
     is_residual,
     places_of,
 )
-from inflight.lsq.solver import SOLVER_SETTINGS, Indices, solve_scaled
+from inflight.lsq.solver import SOLVER_SETTINGS, Indices, ScaledSystems, solve_scaled
 from inflight.lsq.triangles import Triangles, places_of_entries
 
 #: Begin of a fit that a block does not have.
@@ -62,60 +62,57 @@ class _Shared:
     ----------
     rest : Triangles
         Of all columns.
-    given, fitted : ndarray, shape (block, fit, base, column)
-        B and F of each fit of the calibration; the calibration's own columns come first.
+    given : ndarray, shape (block, fit, base, column)
+        B of each fit of the calibration; the calibration's own columns come first.
     base : int
         Columns of the calibration.
     """
 
-    def __init__(self, rest: Triangles, given: Floats, fitted: Floats | None = None) -> None:
-        self.rest, self.given, self._fitted = rest, given, fitted
-        self.base = given.shape[2]
+    def __init__(self, rest: Triangles, given: Floats) -> None:
+        self.rest, self.given, self.base = rest, given, given.shape[2]
 
     @property
     def width(self) -> int:
         """Columns in use."""
         return self.rest.width
 
-    @property
-    def fitted(self) -> Floats:
-        """F of each fit; made of `given` when it is asked for after `forget_fits`."""
-        if self._fitted is None:
-            self._fitted = _own_fits(self.given)
-        return self._fitted
+    @cached_property
+    def systems(self) -> ScaledSystems:
+        """A of each fit, to be solved."""
+        return ScaledSystems(self.own)
 
-    def forget_fits(self) -> None:
-        """Let go of the fits, which are made again when they are asked for."""
-        self._fitted = None
+    def fits(self, blocks: Indices, columns: Indices) -> Floats:
+        """Return F of some blocks and columns; (block, fit, base, column).
+
+        They are made whenever they are asked for: kept, they would take as much memory as `given`.
+        """
+        out = self.systems.solve(_part_of(self.given, blocks, columns), blocks)
+        own = np.flatnonzero(columns < self.base)
+        out[..., own] = np.eye(self.base)[:, columns[own]]
+        return out
 
     @property
     def own(self) -> Floats:
         """The calibration's products with itself; (block, fit, base, base)."""
         return self.given[..., : self.base]
 
-    def append(self, across: Floats, inner: Floats, given: Floats, fitted: Floats) -> slice:
+    def append(self, across: Floats, inner: Floats, given: Floats) -> slice:
         """Append columns; return their places.
 
         Parameters
         ----------
         across : ndarray, shape (block, column, new column)
         inner : ndarray, shape (block, new column, new column)
-        given, fitted : ndarray, shape (block, fit, base, new column)
+        given : ndarray, shape (block, fit, base, new column)
         """
         old, new = self.width, self.width + inner.shape[-1]
         if new > self.given.shape[-1]:
-            self._widen(new + int(_ROOM * new))
+            wider = np.zeros((*self.given.shape[:3], new + int(_ROOM * new)))
+            wider[..., :old] = self.given[..., :old]
+            self.given = wider
         self.rest.append(across, inner, self.given.shape[-1])
-        self.given[..., old:new], self.fitted[..., old:new] = given, fitted
+        self.given[..., old:new] = given
         return slice(old, new)
-
-    def _widen(self, width: int) -> None:
-        def wider(old: Floats) -> Floats:
-            new = np.zeros((*old.shape[:3], width))
-            new[..., : self.width] = old[..., : self.width]
-            return new
-
-        self.given, self._fitted = wider(self.given), wider(self.fitted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +134,7 @@ class FactoredGrams:
     begins : ndarray of int64, shape (block, fit)
         First instant of each fit of the calibration in a block, TT2000; ``NO_FIT`` where there are fewer.
     shared : object
-        `rest`, `given` and `fitted` of all forms.
+        `rest` and `given` of all forms.
     taken : ndarray, shape (interval, base, column), optional
         The fit G of the calibration that is taken off, in each interval; nothing when absent.
     interval : ndarray of int, shape (block,), optional
@@ -181,7 +178,7 @@ class FactoredGrams:
             left -= cross.T
             rest.put(block, left)
         known = grams.start, grams.end, grams.count, grams.scale
-        return cls._stored(grams.names, places, *known, rest, given, fitted)
+        return cls._stored(grams.names, places, *known, rest, given)
 
     @classmethod
     def of_rows(
@@ -243,7 +240,7 @@ class FactoredGrams:
                 total += left @ left.T
             rest.put(at, total)
         good = np.array([weight[part].sum() * rows for part in parts])
-        return cls._stored(tuple(names), places, *span, good, scale, rest, given, fitted)
+        return cls._stored(tuple(names), places, *span, good, scale, rest, given)
 
     @classmethod
     def _stored(
@@ -256,12 +253,9 @@ class FactoredGrams:
         scale: Floats,
         rest: Triangles,
         given: Floats,
-        fitted: Floats,
     ) -> Self:
         """Return blocks of one fit each; `places` are those in `names` of the columns as they are stored."""
-        return cls(
-            names, np.argsort(places), start, end, count, scale, start[:, None], _Shared(rest, given, fitted)
-        )
+        return cls(names, np.argsort(places), start, end, count, scale, start[:, None], _Shared(rest, given))
 
     def merged(self, others: Sequence[Self], fits: int = 0) -> Self:
         """Return blocks to each of which one of each of some others, later and of the same columns, is added.
@@ -299,7 +293,7 @@ class FactoredGrams:
         rest = Triangles.zeros(len(self), stored.size)
         for block, matrix in enumerate(left.rows(other, other)):
             rest.put(block, matrix)
-        return replace(self, begins=self.begins[:, :1], shared=_Shared(rest, given, fitted))
+        return replace(self, begins=self.begins[:, :1], shared=_Shared(rest, given))
 
     # In a store.
 
@@ -440,7 +434,7 @@ class FactoredGrams:
         it does not, and only what it explains is small.
         """
         at, shared, own = self.places[columns], self.shared, self.shared.own[blocks]
-        fitted, given = _part_of(shared.fitted, blocks, at), _part_of(shared.given, blocks, at)
+        fitted, given = shared.fits(blocks, at), _part_of(shared.given, blocks, at)
         yield _in_one(fitted), _in_one(_half_explained(own, given, fitted))
         if self.taken is not None and self.interval is not None:
             taken = _part_of(self.taken, self.interval[blocks], columns)
@@ -449,17 +443,23 @@ class FactoredGrams:
     def _add_factors(self, out: Floats, own: Indices, other: Indices, blocks: Indices) -> None:
         """Add to products (block, column, other) what `rest` lacks, where `own` are few columns."""
         at, shared, squares = self.places[own], self.shared, self.shared.own[blocks]
-        fitted, given = _part_of(shared.fitted, blocks, at), _part_of(shared.given, blocks, at)
-        off, missed = fitted, given - squares @ fitted
+        fitted, given = shared.fits(blocks, at), _part_of(shared.given, blocks, at)
+        # What a fit leaves of the products with the calibration is rounding; the fits to `other` multiply it,
+        # and they are made of its products as these are.
+        off = fitted + shared.systems.solve(given - squares @ fitted, blocks)
+        missed = given.sum(axis=1)
         if self.taken is not None and self.interval is not None:
             taken, others = (_part_of(self.taken, self.interval[blocks], some) for some in (own, other))
-            off = fitted - taken[:, None]
-            out -= (given.sum(axis=1) - squares.sum(axis=1) @ taken).swapaxes(1, 2) @ others
+            off -= taken[:, None]
+            missed -= squares.sum(axis=1) @ taken
+            out -= missed.swapaxes(1, 2) @ others
         # Others are read where they lie, with those between them, which are then left out.
         at = self.places[other]
         span = np.arange(at.min(), at.max() + 1) if at.size >= _FEW else at
         made = _in_one(off).swapaxes(1, 2) @ _in_one(_part_of(shared.given, blocks, span))
-        made += _in_one(missed).swapaxes(1, 2) @ _in_one(_part_of(shared.fitted, blocks, span))
+        # The calibration's own columns are fitted by 1, whether that can be told from the products or not.
+        base = np.flatnonzero(span < shared.base)
+        made[..., base] = missed[:, span[base]].swapaxes(1, 2)
         out += made if span is at else made.take(at - span[0], axis=2)
 
     # Products.
@@ -517,7 +517,6 @@ class FactoredGrams:
 
     def forget_products(self) -> None:
         """Let go of the products that were kept: they are made again when they are asked for."""
-        self.shared.forget_fits()
         for name in _CARRIED:
             self.__dict__.pop(name, None)
 
@@ -645,7 +644,6 @@ class FactoredGrams:
             shared=_Shared(
                 self.shared.rest.select(stored),
                 np.ascontiguousarray(self.shared.given[..., stored]),
-                np.ascontiguousarray(self.shared.fitted[..., stored]),
             ),
         )
 
@@ -725,25 +723,25 @@ class FactoredGrams:
                 raise ValueError("blocks of several fits need the products with the calibration of each")
             at = {place: index for index, place in enumerate(self.places.tolist())}
             given = across[:, None, [at[place] for place in range(k)]]
-        fitted = solve_scaled(shared.own, given)
+        fitted = shared.systems.solve(given)
+        # With what the fit leaves, which is rounding: see `_add_factors`.
+        off = fitted + shared.systems.solve(given - shared.own @ fitted)
+        off = off.reshape(len(self), -1, len(names))
         left = np.zeros((len(self), shared.width, len(names)))
         rest = np.empty_like(inner)
         others = self.places >= k
         for block in range(len(self)):
             b, f = given[block].reshape(-1, len(names)), fitted[block].reshape(-1, len(names))
             own = (shared.own[block] @ fitted[block]).reshape(-1, len(names))
-            was = [
-                array[block][..., self.places[others]].reshape(-1, int(others.sum()))
-                for array in (shared.fitted, shared.given)
-            ]
-            left[block, self.places[others]] = across[block, others] - was[0].T @ (b - own) - was[1].T @ f
+            was = shared.given[block][..., self.places[others]].reshape(-1, int(others.sum()))
+            left[block, self.places[others]] = across[block, others] - was.T @ off[block]
             cross = f.T @ (b - 0.5 * own)
             rest[block] = inner[block] - cross - cross.T
         gone = np.einsum("bii->i", rest) <= LEAST_KEPT * np.einsum("bii->i", inner)
         for array in (left, rest, rest.swapaxes(1, 2)):
             array[..., gone] = 0.0
         fresh = np.arange(shared.width, shared.width + len(names))
-        shared.append(left, rest, given, fitted)
+        shared.append(left, rest, given)
         at_end = len(self.names) - len(self.residuals)
         made = replace(
             self,

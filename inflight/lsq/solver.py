@@ -153,20 +153,43 @@ def solve_scaled(
 
 
 def _solve_free(matrix: Floats, columns: Floats, cut: float) -> Floats:
-    unit, scaled = unit_scaled(matrix)
-    right = unit[..., None] * columns
     if cut <= 0:
-        return np.asarray(unit[..., None] * np.linalg.solve(scaled, right))
-    try:
-        # No eigenvalue is below 1 over the norm of the inverse.
-        inverse = np.linalg.inv(scaled)
-        if np.sum(inverse**2, axis=(-2, -1)).max(initial=0.0) < min(_SOUND, 1.0 / cut) ** 2:
-            return np.asarray(unit[..., None] * (inverse @ right))
-    except np.linalg.LinAlgError:
-        pass
-    own, vectors = eigen_of_symmetric(scaled)
-    inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
-    return np.asarray(unit[..., None] * (vectors @ (inverse[..., None] * (vectors.swapaxes(-1, -2) @ right))))
+        unit, scaled = unit_scaled(matrix)
+        return np.asarray(unit[..., None] * np.linalg.solve(scaled, unit[..., None] * columns))
+    return ScaledSystems(matrix, cut).solve(columns)
+
+
+class ScaledSystems:
+    """Symmetric systems made ready once, to be solved for one right side after another; see `solve_scaled`.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., n, n)
+    cut : float
+        Above 0.
+    """
+
+    def __init__(self, matrix: Floats, cut: float = SOLVER_SETTINGS.eigen_cut) -> None:
+        self._unit, scaled = unit_scaled(matrix)
+        self._vectors: Floats | None = None
+        try:
+            # No eigenvalue is below 1 over the norm of the inverse.
+            self._inverse = np.linalg.inv(scaled)
+            if np.sum(self._inverse**2, axis=(-2, -1)).max(initial=0.0) < min(_SOUND, 1.0 / cut) ** 2:
+                return
+        except np.linalg.LinAlgError:
+            pass
+        own, self._vectors = eigen_of_symmetric(scaled)
+        self._inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
+
+    def solve(self, right: Floats, which: Indices | slice = slice(None)) -> Floats:
+        """Return the solutions of some of the systems, of which the first axis counts; (..., n, m)."""
+        unit, inverse = self._unit[which][..., None], self._inverse[which]
+        scaled = unit * right
+        if self._vectors is None:
+            return np.asarray(unit * (inverse @ scaled))
+        vectors = self._vectors[which]
+        return np.asarray(unit * (vectors @ (inverse[..., None] * (vectors.swapaxes(-1, -2) @ scaled))))
 
 
 #: Norm of the inverse of a matrix of unit diagonal up to which it is taken as it is: eight digits are right.
