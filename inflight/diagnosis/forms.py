@@ -173,15 +173,10 @@ def add_forms(search: Search, data: DiagnosisData) -> tuple[Search, bool]:
     """
     if not can_add_columns(search, data):
         return search, False
-    channels, rows = driving_channels(data), CellRows(search, data)
-    found: list[_Shortlisted] = []
-    tried = 0
-    for label in ACTS_ON.values() if channels else ():
-        cells = _cells(search, data, label, channels)
-        tried += len(cells)
-        found += _shortlisted(rows, label, cells)
-    # Hundreds of megabytes of a long record, and what follows makes its own.
-    del rows
+    channels = driving_channels(data)
+    cells = {label: _cells(search, data, label, channels) for label in ACTS_ON.values()}
+    tried = sum(len(own) for own in cells.values())
+    found = [one for row in _table_rows(search, data, cells).values() for one in _shortlisted(search, row)]
     # Of a channel the best way to follow it: what it lacks of lag or width is found once it is taken.
     best: dict[tuple[str, str], _Shortlisted] = {}
     for one in sorted(found, key=lambda one: -one.gain):
@@ -208,14 +203,12 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     if not options or not can_add_columns(search, data):
         return {}
     signs, units = draw_signs(len(search.raw), search.rules.draws, search.rules.seed)
-    folds, rows = make_folds(len(search.raw)), CellRows(search, data)
+    folds, channels = make_folds(len(search.raw)), driving_channels(data)
+    cells = {label: _cells(search, data, label, channels, held=True) for label in ACTS_ON.values()}
     names: list[str] = []
     t, observed, flipped = [], [], []
     related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
-    for label in ACTS_ON.values():
-        row = _TableRow.of(rows, label, _cells(search, data, label, driving_channels(data), held=True))
-        if row is None:
-            continue
+    for label, row in _table_rows(search, data, cells).items():
         products, every = row.products, row.places
         y, present = products.residuals[0], search.present_in(products)
         t.append(score(products, present, every, y, folds).t)
@@ -286,21 +279,17 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
     if len(taken) < 2 or not can_add_columns(search, data):
         return {}
     options = {one.name for one in search.options}
-    channels, folds, rows = driving_channels(data), make_folds(len(search.raw)), None
-    out: dict[str, tuple[float, str]] = {}
+    channels, folds = driving_channels(data), make_folds(len(search.raw))
+    cells = {}
     for label in ACTS_ON.values():
         tried = {one.name for one in _cells(search, data, label, channels)}
-        cells = [
+        cells[label] = [
             one
             for one in _cells(search, data, label, channels, held=True)
             if one.name not in tried and not {f"{label}({one.name})", _core_name(label, one)} & options
         ]
-        if not cells:
-            continue
-        rows = rows or CellRows(search, data)
-        row = _TableRow.of(rows, label, cells)
-        if row is None:
-            continue
+    out: dict[str, tuple[float, str]] = {}
+    for label, row in _table_rows(search, data, cells).items():
         products, every = row.products, row.places
         residual = products.residuals[0]
         together = score(products, search.present_in(products), [], residual, folds).loss0
@@ -460,13 +449,17 @@ def _near_in_place(
     Of each row of the table and channel the best one, those that explain most first; what explains as much
     beside the effect as in its place is another effect.
     """
-    folds, rules, rows = make_folds(len(search.raw)), search.rules, CellRows(search, data)
+    folds, rules = make_folds(len(search.raw)), search.rules
+    cells = {
+        label: [
+            one
+            for one in _cells(search, data, label, channels, held=True)
+            if one.how in ("value", "response")
+        ]
+        for label in ACTS_ON.values()
+    }
     found: dict[Option, dict[tuple[str, str], tuple[float, Followed, ModelEffect]]] = {}
-    for label in ACTS_ON.values() if channels else ():
-        cells = _cells(search, data, label, channels, held=True)
-        row = _TableRow.of(rows, label, [one for one in cells if one.how in ("value", "response")])
-        if row is None:
-            continue
+    for label, row in _table_rows(search, data, cells).items():
         products, y = row.products, row.products.residuals[0]
         beside = score(products, search.present_in(products), row.places, y, folds)
         for option in taken:
@@ -634,12 +627,8 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
     )
 
 
-def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[_Shortlisted]:
+def _shortlisted(search: Search, row: _TableRow) -> list[_Shortlisted]:
     """Return cells that nearly pass beside the model, or do as well as an effect of it, with their gain."""
-    search = rows.search
-    row = _TableRow.of(rows, label, cells)
-    if row is None:
-        return []
     products, every = row.products, row.places
     rules, folds = search.rules, make_folds(len(products))
     together = score(products, search.present_in(products), [], products.residuals[0], folds).loss0
@@ -667,8 +656,8 @@ def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[
     ]
 
 
-#: Numbers of the series of cells that are formed at once: a bound on memory, 128 MB.
-_AT_ONCE = 16_000_000
+#: Numbers of the series of cells that are formed at once, as they are and about their means: 128 MB.
+_AT_ONCE = 8_000_000
 
 
 class CellRows:
@@ -699,18 +688,51 @@ class CellRows:
         flat = [self.left[part].reshape(-1, self.left.shape[2]) for part in self.parts]
         self.given = np.stack([one.T @ one for one in flat])
 
-    def followed(self, cells: Sequence[Followed], about_mean: bool) -> Floats:
-        """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
+    def followed(self, cells: Sequence[Followed]) -> dict[bool, Floats]:
+        """Return what follows channels, as it is (False) and about its mean (True); (sample, cell) each."""
         series = self.data.series
         derived = derived_channels(series, {one.name for one in cells})
         # Cell by cell in memory, as they are written.
-        out = np.empty((len(cells), len(series.tt2000)))
-        for own, one in zip(out, cells, strict=True):
+        out = np.empty((2, len(cells), len(series.tt2000)))
+        for plain, centred, one in zip(*out, cells, strict=True):
             values = np.asarray(derived[one.name].values) if one.name in derived else series[one.name]
             known = np.isfinite(values)
-            own[:] = values - values[known].mean() if about_mean else values
-            own[~known] = 0.0
-        return out.T
+            plain[:], centred[:] = values, values - values[known].mean()
+            plain[~known] = centred[~known] = 0.0
+        return {False: out[0].T, True: out[1].T}
+
+
+class _CellSums:
+    """Products, block by block, of cells of one row of the table, before the calibration is marginalised.
+
+    Attributes
+    ----------
+    acting : ndarray, shape (sample, row, k)
+        Columns of the effect with a channel that is 1, weighted.
+    place : dict of Followed to int
+    cross : ndarray, shape (block, column of `left`, k, cell)
+    inner : ndarray, shape (block, k, k, cell)
+    """
+
+    def __init__(self, rows: CellRows, acting: Floats, cells: Sequence[Followed]) -> None:
+        self.acting, self.place = acting, {one: place for place, one in enumerate(cells)}
+        blocks, k = len(rows.parts), acting.shape[2]
+        self.cross = np.zeros((blocks, rows.left.shape[2], k, len(cells)))
+        self.inner = np.zeros((blocks, k, k, len(cells)))
+
+    def add(self, rows: CellRows, cells: Sequence[Followed], values: Floats) -> None:
+        """Add the products of those of some cells that are of this row, from their series (sample, cell)."""
+        own = [place for place, one in enumerate(cells) if one in self.place]
+        at = [self.place[cells[place]] for place in own]
+        if not own:
+            return
+        for block, part in enumerate(rows.parts):
+            left, on, f = rows.left[part], self.acting[part], values[part][:, own]
+            for place in range(on.shape[2]):
+                both = np.einsum("trm,tr->tm", left, on[..., place])
+                self.cross[block, :, place, at] = f.T @ both
+            square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
+            self.inner[block][..., at] = (square.T @ f**2).reshape(*self.inner.shape[1:3], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -736,33 +758,41 @@ class CellProducts:
     scale: Floats
 
     @classmethod
-    def of(cls, rows: CellRows, entry: ModelEffect, cells: Sequence[Followed]) -> CellProducts:
-        """Return the products of cells of one effect; `entry` is that of any of them."""
-        search, data, left = rows.search, rows.data, rows.left
-        root = np.sqrt(data.series["weight"])[:, None, None]
-        acting = _acting_columns(data, entry) * root
-        k, m, b = acting.shape[2], left.shape[2], len(search.base()[0])
-        cross = np.zeros((len(rows.parts), m, k, len(cells)))
-        inner = np.zeros((len(rows.parts), k, k, len(cells)))
-        for some in in_turns(slice(0, len(cells)), max(1, _AT_ONCE // max(len(left), 1))):
-            values = rows.followed(cells[some], entry.effect.label() in _HAS_CONSTANT)
-            for block, part in enumerate(rows.parts):
-                own, on, f = left[part], acting[part], values[part]
-                for place in range(k):
-                    both = np.einsum("trm,tr->tm", own, on[..., place])
-                    cross[block, :, place, some] = both.T @ f
-                square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
-                inner[block][..., some] = (square.T @ f**2).reshape(k, k, -1)
-        given = rows.given.copy()
+    def of(
+        cls, rows: CellRows, asked: Mapping[str, tuple[ModelEffect, Sequence[Followed]]]
+    ) -> dict[str, CellProducts]:
+        """Return the products of cells of several rows of the table, which follow nearly the same series.
+
+        Parameters
+        ----------
+        rows : CellRows
+        asked : mapping of str to (ModelEffect, sequence of Followed)
+            Effect of the row -> that of any of its cells, and the cells.
+        """
+        root = np.sqrt(rows.data.series["weight"])[:, None, None]
+        sums = {
+            label: _CellSums(rows, _acting_columns(rows.data, entry) * root, cells)
+            for label, (entry, cells) in asked.items()
+        }
+        every = list(dict.fromkeys(cell for _, cells in asked.values() for cell in cells))
+        for some in in_turns(slice(0, len(every)), max(1, _AT_ONCE // max(len(rows.left), 1))):
+            values = rows.followed(every[some])
+            for label, one in sums.items():
+                # What is constant anyway loses its mean.
+                one.add(rows, every[some], values[label in _HAS_CONSTANT])
+        return {label: cls._of_sums(rows, one) for label, one in sums.items()}
+
+    @classmethod
+    def _of_sums(cls, rows: CellRows, sums: _CellSums) -> CellProducts:
+        search, given = rows.search, rows.given.copy()
+        b, k, count = len(search.base()[0]), *sums.inner.shape[2:]
         # Cell by cell: (block, left, cell * k).
-        flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(rows.parts), m, -1)
-        inner = np.ascontiguousarray(inner.transpose(0, 3, 1, 2))
-        _marginalise(search, flat_cross, given, inner, b)
-        table = np.concatenate([given[:, b:, b:-1], flat_cross[:, b:], given[:, b:, -1:]], axis=2)
+        cross = np.ascontiguousarray(sums.cross.transpose(0, 1, 3, 2)).reshape(*given.shape[:2], -1)
+        inner = np.ascontiguousarray(sums.inner.transpose(0, 3, 1, 2))
+        _marginalise(search, cross, given, inner, b)
+        table = np.concatenate([given[:, b:, b:-1], cross[:, b:], given[:, b:, -1:]], axis=2)
         model = search.model_columns()
-        scale = np.concatenate(
-            [search.raw.scale[search.forms["raw"].index(model)], np.ones(len(cells) * k + 1)]
-        )
+        scale = np.concatenate([search.raw.scale[search.forms["raw"].index(model)], np.ones(count * k + 1)])
         return cls(tuple(model), table, inner, scale)
 
     def __len__(self) -> int:
@@ -803,14 +833,6 @@ class _TableRow:
     entries: Mapping[Followed, ModelEffect]
     products: CellProducts
 
-    @classmethod
-    def of(cls, rows: CellRows, label: str, cells: Sequence[Followed]) -> _TableRow | None:
-        """Return the row of an effect; None where the mission has a sensor for none of its cells."""
-        entries = {one: entry for one in cells if (entry := _entry(rows.data, label, one)) is not None}
-        if not entries:
-            return None
-        return cls(entries, CellProducts.of(rows, next(iter(entries.values())), list(entries)))
-
     @property
     def cells(self) -> list[Followed]:
         """Which they are."""
@@ -820,6 +842,22 @@ class _TableRow:
     def places(self) -> list[Index]:
         """Places of the columns of each among the products."""
         return [self.products.places(number) for number in range(len(self.entries))]
+
+
+def _table_rows(
+    search: Search, data: DiagnosisData, cells: Mapping[str, Sequence[Followed]]
+) -> dict[str, _TableRow]:
+    """Return rows of the table, by their effect; only those that the mission has a sensor for."""
+    entries = {
+        label: {one: entry for one in own if (entry := _entry(data, label, one)) is not None}
+        for label, own in cells.items()
+    }
+    entries = {label: own for label, own in entries.items() if own}
+    if not entries:
+        return {}
+    asked = {label: (next(iter(own.values())), list(own)) for label, own in entries.items()}
+    products = CellProducts.of(CellRows(search, data), asked)
+    return {label: _TableRow(own, products[label]) for label, own in entries.items()}
 
 
 def _marginalise(search: Search, cross: Floats, given: Floats, inner: Floats, base: int) -> None:

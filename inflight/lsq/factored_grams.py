@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -300,9 +300,7 @@ class FactoredGrams:
     def as_dataset(self) -> xr.Dataset:
         """Return the blocks as a Dataset for a store; `FactoredGrams.read` makes blocks of such."""
         k = self.shared.base
-        # A store has the upper triangle row by row, without the calibration's columns.
-        first, second = np.triu_indices(self.shared.width - k)
-        rest = self.shared.rest.values.take(places_of_entries(first + k, second + k), axis=1)
+        rest = self.shared.rest.values.take(_stored_entries(self.shared.width, k), axis=1)
         given = {"given": (("block", "fit", "base", "column"), self.shared.given, {"units": "nT2"})}
         return xr.Dataset(
             {
@@ -893,6 +891,13 @@ _TOGETHER = 12
 _ROWS = 4_320
 #: Numbers that are made at once.
 _AT_ONCE = 200_000
+
+
+@lru_cache(maxsize=2)
+def _stored_entries(width: int, base: int) -> Indices:
+    """Return which entries a store has: the upper triangle row by row, without the calibration's columns."""
+    first, second = np.triu_indices(width - base)
+    return places_of_entries(first + base, second + base)
 
 
 def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:

@@ -65,7 +65,7 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     cells = _cells(search, data, label, ["boom_temperature"])
     assert len(cells) >= (1 if label == "channel_field" else 5)
     made = [_option(search, data, one, _entry(data, label, one)) for one in cells]
-    products = CellProducts.of(CellRows(search, data), made[0][0].entry, cells)
+    products = CellProducts.of(CellRows(search, data), {label: (made[0][0].entry, cells)})[label]
     joined = join_terms(search.of_model(), data, [term for term, _ in made])
     grams = joined.forms["raw"]
     folds = make_folds(len(grams))
