@@ -47,16 +47,13 @@ class Made:
 
 
 def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
-    """Return random evidence: calibration, model, candidates, and a residual that follows one of these.
-
-    More than 300 candidates share one matrix between raw and prewhitened form: two take 14 GiB.
-    """
+    """Return random evidence: calibration, model, candidates, and a residual that follows one of these."""
     columns = [[f"c{place}.{at}" for at in range(WIDTH)] for place in range(candidates)]
     names = (*_BASE, "m0", "m1", *(name for own in columns for name in own), "residual")
-    raw = FactoredGrams.read(_blocks(blocks, names, 1), blocks, names, np.ones(len(names)), _BASE)
-    if candidates > CANDIDATES:
-        return Made(raw, raw, columns)
-    white = FactoredGrams.read(_blocks(blocks, names, 2), blocks, names, np.ones(len(names)), _BASE)
+    raw, white = (
+        FactoredGrams.read(_blocks(blocks, names, seed), blocks, names, np.ones(len(names)), _BASE)
+        for seed in (1, 2)
+    )
     return Made(raw, white, columns)
 
 
@@ -124,9 +121,8 @@ def _ranking(candidates: int, draws: int) -> list[Row]:
         floor = min(timed(lambda: matrix.sum(axis=0), 3))
         rows = np.random.default_rng(0).normal(size=(FITS * _DAY_ROWS, 9 + 2 + WIDTH))
         refit = blocks * candidates * lstsq_s(rows, rows[:, 0] + 1.0, 3)
-    shared = ", one matrix for raw and white" if made.white is made.raw else ""
     row = Row(
-        what=f"rank {candidates} candidates, {blocks} blocks of {FITS} days{shared}",
+        what=f"rank {candidates} candidates, {blocks} blocks of {FITS} days",
         seconds=second,
         floor_s=floor,
         floor="rank: the matrix of one form read once in memory",

@@ -656,8 +656,8 @@ def _shortlisted(search: Search, row: _TableRow) -> list[_Shortlisted]:
     ]
 
 
-#: Numbers of the series of cells that are formed at once, as they are and about their means: 128 MB.
-_AT_ONCE = 8_000_000
+#: Numbers of the series of cells that are formed at once: a bound on memory, 128 MB.
+_AT_ONCE = 16_000_000
 
 
 class CellRows:
@@ -688,18 +688,18 @@ class CellRows:
         flat = [self.left[part].reshape(-1, self.left.shape[2]) for part in self.parts]
         self.given = np.stack([one.T @ one for one in flat])
 
-    def followed(self, cells: Sequence[Followed]) -> dict[bool, Floats]:
-        """Return what follows channels, as it is (False) and about its mean (True); (sample, cell) each."""
+    def followed(self, cells: Sequence[Followed], about_mean: bool) -> Floats:
+        """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
         series = self.data.series
         derived = derived_channels(series, {one.name for one in cells})
         # Cell by cell in memory, as they are written.
-        out = np.empty((2, len(cells), len(series.tt2000)))
-        for plain, centred, one in zip(*out, cells, strict=True):
+        out = np.empty((len(cells), len(series.tt2000)))
+        for own, one in zip(out, cells, strict=True):
             values = np.asarray(derived[one.name].values) if one.name in derived else series[one.name]
             known = np.isfinite(values)
-            plain[:], centred[:] = values, values - values[known].mean()
-            plain[~known] = centred[~known] = 0.0
-        return {False: out[0].T, True: out[1].T}
+            own[:] = values - values[known].mean() if about_mean else values
+            own[~known] = 0.0
+        return out.T
 
 
 class _CellSums:
@@ -730,7 +730,7 @@ class _CellSums:
             left, on, f = rows.left[part], self.acting[part], values[part][:, own]
             for place in range(on.shape[2]):
                 both = np.einsum("trm,tr->tm", left, on[..., place])
-                self.cross[block, :, place, at] = f.T @ both
+                self.cross[block][:, place, at] = both.T @ f
             square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
             self.inner[block][..., at] = (square.T @ f**2).reshape(*self.inner.shape[1:3], -1)
 
@@ -769,6 +769,20 @@ class CellProducts:
         asked : mapping of str to (ModelEffect, sequence of Followed)
             Effect of the row -> that of any of its cells, and the cells.
         """
+        made = {}
+        for about_mean in (False, True):
+            labels = [label for label in asked if (label in _HAS_CONSTANT) == about_mean]
+            made |= cls._alike(rows, {label: asked[label] for label in labels}, about_mean)
+        return {label: made[label] for label in asked}
+
+    @classmethod
+    def _alike(
+        cls,
+        rows: CellRows,
+        asked: Mapping[str, tuple[ModelEffect, Sequence[Followed]]],
+        about_mean: bool,
+    ) -> dict[str, CellProducts]:
+        """Return the same of rows that all follow channels about their means, or all as they are."""
         root = np.sqrt(rows.data.series["weight"])[:, None, None]
         sums = {
             label: _CellSums(rows, _acting_columns(rows.data, entry) * root, cells)
@@ -776,11 +790,11 @@ class CellProducts:
         }
         every = list(dict.fromkeys(cell for _, cells in asked.values() for cell in cells))
         for some in in_turns(slice(0, len(every)), max(1, _AT_ONCE // max(len(rows.left), 1))):
-            values = rows.followed(every[some])
-            for label, one in sums.items():
-                # What is constant anyway loses its mean.
-                one.add(rows, every[some], values[label in _HAS_CONSTANT])
-        return {label: cls._of_sums(rows, one) for label, one in sums.items()}
+            values = rows.followed(every[some], about_mean)
+            for one in sums.values():
+                one.add(rows, every[some], values)
+        # What one row was made of is let go before the next is made.
+        return {label: cls._of_sums(rows, sums.pop(label)) for label in list(sums)}
 
     @classmethod
     def _of_sums(cls, rows: CellRows, sums: _CellSums) -> CellProducts:

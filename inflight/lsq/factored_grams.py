@@ -19,6 +19,11 @@ of the products Z'Z, exactly, whether A can be inverted or not. With another fit
 G = 0 gives the block as it was, G = F what its own calibration leaves. Blocks of several days hold one pair
 (A, B) a day, and `rest` is their sum, as S(F) is; a fit G of all of them needs the sums of A and of B alone.
 
+F itself is not kept. It is P B, with P the inverse of A in the directions that A determines, and 1 for the
+calibration's own columns; a product of few columns i with many others j needs the fits to the few alone:
+
+    F_i'B_j + (B_i - A F_i)'F_j  =  (F_i + P (B_i - A F_i))'B_j.
+
 Columns that join (`FactoredGrams.bordered`, `expand`) are appended to what all forms share; a form that
 was made before does not see them.
 """
@@ -46,7 +51,7 @@ from inflight.lsq.gram_blocks import (
     places_of,
 )
 from inflight.lsq.solver import SOLVER_SETTINGS, Indices, ScaledSystems, solve_scaled
-from inflight.lsq.triangles import Triangles, places_of_entries
+from inflight.lsq.triangles import Triangles, are_neighbours, places_of_entries
 
 #: Begin of a fit that a block does not have.
 NO_FIT = int(np.iinfo(np.int64).max)
@@ -268,7 +273,7 @@ class FactoredGrams:
             Fits that there is room for in a block, at least.
         """
         every = [self, *others]
-        rest = self.shared.rest if not others else Triangles.sum([one.shared.rest for one in every])
+        rest = Triangles.sum([one.shared.rest for one in every])
         given = np.concatenate([one.shared.given for one in every], axis=1)
         begins = np.concatenate([one.begins for one in every], axis=1)
         room = max(fits - begins.shape[1], 0)
@@ -289,10 +294,10 @@ class FactoredGrams:
         given = self.shared.given.sum(axis=1, keepdims=True)
         fitted, stored = _own_fits(given), np.argsort(self.places)
         left = replace(self, taken=fitted[:, 0][..., self.places], interval=np.arange(len(self)))
-        other = stored[self.shared.base :]
+        others = stored[self.shared.base :]
         rest = Triangles.zeros(len(self), stored.size)
-        for block, matrix in enumerate(left.rows(other, other)):
-            rest.put(block, matrix)
+        for block in range(len(self)):
+            rest.put(block, left.rows(others, others, np.array([block]))[0])
         return replace(self, begins=self.begins[:, :1], shared=_Shared(rest, given))
 
     # In a store.
@@ -442,8 +447,7 @@ class FactoredGrams:
         """Add to products (block, column, other) what `rest` lacks, where `own` are few columns."""
         at, shared, squares = self.places[own], self.shared, self.shared.own[blocks]
         fitted, given = shared.fits(blocks, at), _part_of(shared.given, blocks, at)
-        # What a fit leaves of the products with the calibration is rounding; the fits to `other` multiply it,
-        # and they are made of its products as these are.
+        # What rounding leaves of `given` is multiplied by the fits to `other`: (B - A F)'P B, see the module.
         off = fitted + shared.systems.solve(given - squares @ fitted, blocks)
         missed = given.sum(axis=1)
         if self.taken is not None and self.interval is not None:
@@ -488,10 +492,13 @@ class FactoredGrams:
             return np.asarray(given.sum(axis=3))
         matrix, places, factored = self.shared.rest, self.places, not self._is_rest
         out = np.empty((which.size, own.size, other.size))
+        entries = places_of_entries(places[own][:, None], places[other])
         rank = 2 * self.fits * self.shared.base if factored else 1
-        for some in _in_parts(which.size, max(own.size, rank) * other.size):
+        # Of many others all columns between them are read.
+        read = self.shared.width if factored and other.size >= _FEW else other.size
+        for some in _in_parts(which.size, max(own.size, rank) * read):
             blocks = which[some]
-            out[some] = matrix.at(blocks, places[own][:, None], places[other])
+            out[some] = matrix.at(blocks, entries)
             if factored:
                 self._add_factors(out[some], own, other, blocks)
         self._clear(out, own, other)
@@ -546,10 +553,11 @@ class FactoredGrams:
     def _products_within(self, groups: Indices, which: Indices) -> Floats:
         matrix, factored, at = self.shared.rest, not self._is_rest, self.places[groups]
         out = np.empty((which.size, *groups.shape, groups.shape[-1]))
+        entries = places_of_entries(at[:, :, None], at[:, None, :])
         size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
         for some in _in_parts(which.size, size):
             part = which[some]
-            out[some] = matrix.at(part, at[:, :, None], at[:, None, :])
+            out[some] = matrix.at(part, entries)
             if factored:
                 for left, right in self._factors(groups.ravel(), part):
                     product = _within(left, right, groups.shape[-1])
@@ -588,7 +596,8 @@ class FactoredGrams:
         key = tuple(tuple(np.asarray(fold).tolist()) for fold in folds)
         if key not in self._sums:
             every = np.arange(len(self.names))
-            out = [self.shared.rest.sum_of(fold, self.places) for fold in folds]
+            entries = places_of_entries(self.places[:, None], self.places)
+            out = [self.shared.rest.sum_of(fold, entries) for fold in folds]
             if not self._is_rest:
                 size = 4 * self.fits * max(self.shared.base, 1) * every.size
                 for place, fold in enumerate(folds):
@@ -722,15 +731,14 @@ class FactoredGrams:
             at = {place: index for index, place in enumerate(self.places.tolist())}
             given = across[:, None, [at[place] for place in range(k)]]
         fitted = shared.systems.solve(given)
-        # With what the fit leaves, which is rounding: see `_add_factors`.
-        off = fitted + shared.systems.solve(given - shared.own @ fitted)
-        off = off.reshape(len(self), -1, len(names))
+        explained = shared.own @ fitted
+        off = _in_one(fitted + shared.systems.solve(given - explained))
         left = np.zeros((len(self), shared.width, len(names)))
         rest = np.empty_like(inner)
         others = self.places >= k
         for block in range(len(self)):
             b, f = given[block].reshape(-1, len(names)), fitted[block].reshape(-1, len(names))
-            own = (shared.own[block] @ fitted[block]).reshape(-1, len(names))
+            own = explained[block].reshape(-1, len(names))
             was = shared.given[block][..., self.places[others]].reshape(-1, int(others.sum()))
             left[block, self.places[others]] = across[block, others] - was.T @ off[block]
             cross = f.T @ (b - 0.5 * own)
@@ -893,7 +901,7 @@ _ROWS = 4_320
 _AT_ONCE = 200_000
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def _stored_entries(width: int, base: int) -> Indices:
     """Return which entries a store has: the upper triangle row by row, without the calibration's columns."""
     first, second = np.triu_indices(width - base)
@@ -902,10 +910,10 @@ def _stored_entries(width: int, base: int) -> Indices:
 
 def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:
     """Return some columns (the last axis) of some blocks (the first one); of neighbours nothing is copied."""
-    if columns.size < _FEW and not _are_neighbours(columns):
+    if columns.size < _FEW and not are_neighbours(columns):
         return np.asarray(np.moveaxis(array[blocks[:, None], ..., columns], 1, -1))
-    some = array[blocks[0] : blocks[-1] + 1] if _are_neighbours(blocks) else array[blocks]
-    if _are_neighbours(columns):
+    some = array[blocks[0] : blocks[-1] + 1] if are_neighbours(blocks) else array[blocks]
+    if are_neighbours(columns):
         return some[..., columns[0] : columns[-1] + 1]
     return some.take(columns, axis=-1)
 
@@ -941,13 +949,6 @@ def _within(left: Floats, right: Floats, k: int) -> Floats:
             own = np.einsum("ngiaib->ngiab", product)
             out[:, first:last] = own.reshape(left.shape[0], -1, k, k)
     return out
-
-
-def _are_neighbours(places: Indices) -> bool:
-    """Return whether places follow each other."""
-    if not places.size or places[-1] - places[0] != places.size - 1:
-        return False
-    return bool((places[1:] > places[:-1]).all())
 
 
 def _in_parts(blocks: int, size: int) -> Iterator[slice]:

@@ -171,6 +171,8 @@ class ScaledSystems:
 
     def __init__(self, matrix: Floats, cut: float = SOLVER_SETTINGS.eigen_cut) -> None:
         self._unit, scaled = unit_scaled(matrix)
+        # An unknown without information stays 0, as its unit is; the others need no eigenvalues for it.
+        scaled = scaled + (self._unit == 0.0)[..., None] * np.eye(scaled.shape[-1])
         self._vectors: Floats | None = None
         try:
             # No eigenvalue is below 1 over the norm of the inverse.
@@ -180,16 +182,17 @@ class ScaledSystems:
         except np.linalg.LinAlgError:
             pass
         own, self._vectors = eigen_of_symmetric(scaled)
-        self._inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
+        self._along = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)[..., None]
 
     def solve(self, right: Floats, which: Indices | slice = slice(None)) -> Floats:
         """Return the solutions of some of the systems, of which the first axis counts; (..., n, m)."""
-        unit, inverse = self._unit[which][..., None], self._inverse[which]
-        scaled = unit * right
+        unit = self._unit[which][..., None]
         if self._vectors is None:
-            return np.asarray(unit * (inverse @ scaled))
+            return np.asarray(unit * (self._inverse[which] @ (unit * right)))
         vectors = self._vectors[which]
-        return np.asarray(unit * (vectors @ (inverse[..., None] * (vectors.swapaxes(-1, -2) @ scaled))))
+        return np.asarray(
+            unit * (vectors @ (self._along[which] * (vectors.swapaxes(-1, -2) @ (unit * right))))
+        )
 
 
 #: Norm of the inverse of a matrix of unit diagonal up to which it is taken as it is: eight digits are right.

@@ -18,7 +18,7 @@ Singles = npt.NDArray[np.float32]
 
 
 class Triangles:
-    """Symmetric matrices of some blocks, half of each; columns are appended, never changed.
+    """Symmetric matrices of some blocks, half of each, to which columns may be appended.
 
     Attributes
     ----------
@@ -38,8 +38,12 @@ class Triangles:
 
     @classmethod
     def sum(cls, every: Sequence[Triangles]) -> Triangles:
-        """Return the sum of matrices of the same columns, block by block."""
-        return cls(np.sum([one.values for one in every], axis=0), every[0].width)
+        """Return the sum of matrices of the same columns, block by block, in an array of its own."""
+        used = entries_of(every[0].width)
+        values = every[0].values[:, :used].copy()
+        for one in every[1:]:
+            values += one.values[:, :used]
+        return cls(values, every[0].width)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -53,27 +57,28 @@ class Triangles:
             begin = entries_of(row) + first
             own[begin : begin + row - first + 1] = values[: row - first + 1]
 
-    def at(self, blocks: Indices, rows: Indices, columns: Indices) -> Singles:
-        """Return some entries of some blocks; (block, ...), of the shape that both places have together."""
-        first, last = (int(blocks[0]), int(blocks[-1])) if blocks.size else (0, -1)
-        beside = last - first == blocks.size - 1 and bool((np.diff(blocks) > 0).all())
-        some = self.values[first : last + 1] if beside else self.values[blocks]
-        places = places_of_entries(rows, columns)
-        return np.asarray(some.take(places.ravel(), axis=1).reshape(len(some), *places.shape))
+    def at(self, blocks: Indices, entries: Indices) -> Singles:
+        """Return some entries of some blocks, as `places_of_entries` names them; (block, ...)."""
+        if are_neighbours(blocks):
+            # One index takes a fraction of the time of two.
+            found = self.values[blocks[0] : blocks[-1] + 1].take(entries.ravel(), axis=1)
+        else:
+            found = self.values[blocks[:, None], entries.ravel()]
+        return np.asarray(found.reshape(len(blocks), *entries.shape))
 
     def diagonal(self, columns: Indices) -> Singles:
         """Return the entries of columns with themselves; (block, column)."""
         return self.values.take(places_of_entries(columns, columns), axis=1)
 
-    def sum_of(self, blocks: Indices, columns: Indices) -> Floats:
-        """Return the sum over some blocks of the products of columns, in double precision."""
+    def sum_of(self, blocks: Indices, entries: Indices) -> Floats:
+        """Return the sum over some blocks of some entries, in double precision."""
         out = np.zeros(entries_of(self.width))
         for block in np.asarray(blocks).tolist():
             out += self.values[block, : out.size]
-        return out[places_of_entries(columns[:, None], columns)]
+        return out[entries]
 
     def select(self, columns: Indices) -> Triangles:
-        """Return the matrices of some columns."""
+        """Return the matrices of some columns, in an array of their own."""
         rows, others = np.tril_indices(columns.size)
         entries = places_of_entries(columns[rows], columns[others])
         return Triangles(self.values.take(entries, axis=1), columns.size)
@@ -86,7 +91,7 @@ class Triangles:
         across : ndarray, shape (block, column, new column)
         inner : ndarray, shape (block, new column, new column)
         room : int
-            Columns that there is to be room for, when there is none for these.
+            Columns to make room for when the array must grow.
         """
         old, new = self.width, self.width + inner.shape[-1]
         if entries_of(new) > self.values.shape[1]:
@@ -109,3 +114,10 @@ def places_of_entries(rows: Indices, columns: Indices) -> Indices:
     """Return which entries of a block are those of some rows and columns."""
     high = np.maximum(rows, columns)
     return np.asarray(high * (high + 1) // 2 + np.minimum(rows, columns))
+
+
+def are_neighbours(places: Indices) -> bool:
+    """Return whether places follow each other."""
+    if not places.size or places[-1] - places[0] != places.size - 1:
+        return False
+    return bool((places[1:] > places[:-1]).all())

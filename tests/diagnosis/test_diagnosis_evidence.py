@@ -258,6 +258,18 @@ def test_restricted_blocks_are_those_of_fewer_columns_and_columns_join_them_alon
     assert whole.shared.width == width
 
 
+def test_columns_that_join_merged_blocks_do_not_join_those_they_were_made_of():
+    grams, base = row_case(2).grams, ["n0", "n1", "n2"]
+    first = FactoredGrams.of(grams, base)
+    padded, before = first.merged([], fits=3), first.total.copy()
+    told = [list(range(7)), list(range(7, 20))]
+    left, same = (one.marginalise(base, told) for one in (padded, first))
+    np.testing.assert_allclose(left.total, same.total, rtol=1e-9, atol=1e-9)
+    padded.expand({"later": ("z1", np.arange(20.0))})
+    np.testing.assert_array_equal(FactoredGrams.total.func(first), before)
+    first.expand({"other": ("z2", np.arange(20.0))})
+
+
 def test_columns_join_factored_blocks_as_if_they_had_been_there():
     grams, base, fresh = row_case(1).grams, ["n0", "n1", "n2"], ["z3", "z4"]
     small = FactoredGrams.of(grams.select([name for name in grams.columns if name not in fresh]), base)

@@ -77,6 +77,27 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     np.testing.assert_allclose(quick.t, slow.t, atol=0.05)
 
 
+def test_rows_of_the_table_made_together_are_those_made_alone(monkeypatch):
+    case = flown()
+    search, data = case.search(), case.material()
+    asked = {}
+    for label in ACTS_ON.values():
+        cells = _cells(search, data, label, list(CHANNELS))
+        if cells:
+            asked[label] = _entry(data, label, cells[0]), cells
+    assert len({tuple(cells) for _, cells in asked.values()}) > 1
+    rows = CellRows(search, data)
+    # A few cells at a time, which are not the same ones of each row.
+    monkeypatch.setattr("inflight.diagnosis.forms._AT_ONCE", 3 * len(rows.left))
+    together = CellProducts.of(rows, asked)
+    assert list(together) == list(asked)
+    for label, one in asked.items():
+        alone = CellProducts.of(rows, {label: one})[label]
+        for own, other in ((together[label].table, alone.table), (together[label].inner, alone.inner)):
+            size = np.abs(other).max(axis=0)
+            assert (np.abs(own - other) <= 1e-9 * size).all()
+
+
 @pytest.mark.parametrize(
     ("place", "label", "channel"),
     [(0, "channel_bias", "boom_temperature"), (1, "channel_clock", "boom_temperature")],
