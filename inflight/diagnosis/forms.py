@@ -769,7 +769,7 @@ class CellProducts:
         asked : mapping of str to (ModelEffect, sequence of Followed)
             Effect of the row -> that of any of its cells, and the cells.
         """
-        made = {}
+        made: dict[str, CellProducts] = {}
         for about_mean in (False, True):
             labels = [label for label in asked if (label in _HAS_CONSTANT) == about_mean]
             made |= cls._alike(rows, {label: asked[label] for label in labels}, about_mean)
