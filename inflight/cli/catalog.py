@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, TextTable, text_table, verb
-from inflight.cli.diagnose import with_error
+from inflight.cli.diagnosis_text import with_error
 from inflight.cli.processing import EndOption, StartOption
 
 if TYPE_CHECKING:

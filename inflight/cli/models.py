@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, text_table, verb
-from inflight.cli.diagnose import with_error
+from inflight.cli.diagnosis_text import with_error
 
 if TYPE_CHECKING:
     from rich.console import Console

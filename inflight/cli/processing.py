@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from inflight.cli.command import Command
+from inflight.cli.diagnosis_text import print_diagnosis
 from inflight.errors import CatalogError, SettingsError
 
 if TYPE_CHECKING:
@@ -310,8 +311,6 @@ def update(
     found = report.extra.get("diagnosis")
 
     def show_verdict(console: Console) -> None:
-        from inflight.cli.diagnose import print_diagnosis
-
         if found is not None:
             print_diagnosis(console, found, details)
 

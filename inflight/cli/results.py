@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from inflight.cli.command import Command
+from inflight.cli.diagnosis_text import made_from_text, only_moves_with
 from inflight.cli.processing import (
     ComparisonOption,
     EndOption,
@@ -155,7 +156,6 @@ def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iter
     Products of a model that is no more in use are told as that, before anything is made of them.
     """
     from inflight.catalog import Catalog
-    from inflight.cli.diagnose import only_moves_with
     from inflight.diagnosis import SCALE_DRIFT
     from inflight.tasks import ModelHistory
     from inflight.tasks.analysis import last_diagnosis
@@ -401,7 +401,6 @@ def report(
     fields = written.as_json()
 
     def show_report(console: Console) -> None:
-        from inflight.cli.diagnose import made_from_text
         from inflight.diagnosis import HEADING
 
         console.print(dict(HEADING)[fields["verdict"]], style="bold", markup=False)

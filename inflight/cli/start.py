@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command
-from inflight.cli.diagnose import only_moves_with
+from inflight.cli.diagnosis_text import only_moves_with
 from inflight.cli.processing import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span
 from inflight.errors import SettingsError

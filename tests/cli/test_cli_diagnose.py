@@ -14,7 +14,7 @@ from heated_mission import make_heated_workspace
 from tiny_mission import TINY_YAML
 
 from inflight.catalog import Catalog, Workspace
-from inflight.cli.diagnose import _next_step, only_moves_with
+from inflight.cli.diagnosis_text import _next_step, only_moves_with
 from inflight.explorer.diagnosis_view import diagnosis_sections
 from inflight.explorer.session import ExplorerSession
 from inflight.tasks.analysis import last_diagnosis

@@ -15,7 +15,7 @@ from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.cli import main
-from inflight.cli.diagnose import print_diagnosis
+from inflight.cli.diagnosis_text import print_diagnosis
 from inflight.errors import CatalogError
 from inflight.flows import launch, run_with_prefect, run_without_prefect
 from inflight.tasks import ModelHistory, analysis, ingest, pipelines, reprocess, to_json
