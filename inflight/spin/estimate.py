@@ -742,10 +742,14 @@ class FoldedFitSettings:
         Most rounds of linearisation and weights. Assumed.
     settled : float
         A round that changes every value by less than this many sigmas is the last. Assumed.
+    parts : tuple of float
+        Parts of a change that are tried. Offsets as large as the field bend the modulus so much that the
+        whole change overshoots: the one that leaves least is taken.
     """
 
-    rounds: int = 8
+    rounds: int = 20
     settled: float = 0.05
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)
 
 
 FOLDED_FIT_SETTINGS = FoldedFitSettings()
@@ -848,7 +852,11 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
         ) / (2.0 * steps)
         weight = base * _interval_weights(residual, base, interval)
         change, covariance = _solve_robustly(columns, residual, weight, interval, (start - value), sigma)
-        value = value + change
+        tried = [value + part * change for part in FOLDED_FIT_SETTINGS.parts]
+        left = [
+            _rms(_rows(with_constant_values(model, entry, names, one), samples)[0], weight) for one in tried
+        ]
+        value = tried[int(np.argmin(left))]
         if np.all(np.abs(change) <= FOLDED_FIT_SETTINGS.settled * np.sqrt(np.diag(covariance))):
             break
     fitted = with_constant_values(model, entry, names, value)
