@@ -31,3 +31,5 @@ def test_the_hidden_effect_is_named_or_honestly_confused(tmp_path, name):
     told = outcome.score
     assert not told.confident_wrong, f"FOUND {told.false_additions}, hidden {outcome.truth['effects']}"
     assert told.family is not False, f"{told.verdict} does not name {outcome.truth['effects']}"
+    if not outcome.truth["effects"]:
+        assert told.passed, f"{told.verdict}: nothing is hidden"
