@@ -745,11 +745,14 @@ class FoldedFitSettings:
     parts : tuple of float
         Parts of a change that are tried. Offsets as large as the field bend the modulus so much that the
         whole change overshoots: the one that leaves least is taken.
+    alike : float
+        Parts that leave so little more, relative, leave as little. Assumed.
     """
 
     rounds: int = 20
     settled: float = 0.05
     parts: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)
+    alike: float = 1e-3
 
 
 FOLDED_FIT_SETTINGS = FoldedFitSettings()
@@ -856,7 +859,8 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
         left = [
             _rms(_rows(with_constant_values(model, entry, names, one), samples)[0], weight) for one in tried
         ]
-        value = tried[int(np.argmin(left))]
+        # Where the rows do not tell, the prior does: the largest part.
+        value = tried[int(np.argmax(np.array(left) <= (1.0 + FOLDED_FIT_SETTINGS.alike) * min(left)))]
         if np.all(np.abs(change) <= FOLDED_FIT_SETTINGS.settled * np.sqrt(np.diag(covariance))):
             break
     fitted = with_constant_values(model, entry, names, value)
