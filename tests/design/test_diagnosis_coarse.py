@@ -6,6 +6,8 @@ import xarray as xr
 
 from inflight.design import bin_channel, bin_edges, bin_means, bridge_gaps, coarsen
 from inflight.design.columns import find_spikes
+from inflight.effects import field_strength
+from inflight.effects.sensors import field_strength_rate
 from inflight.model import ResidualRows
 from inflight.time import SECOND
 
@@ -180,9 +182,9 @@ def test_ends_are_not_bridged():
     np.testing.assert_array_equal(bridge_gaps(values), [np.nan, 1.0, 2.0, 3.0, np.nan])
 
 
-def coarse(residual, good=None, step=10):
+def coarse(residual, good=None, step=10, field=None):
     count = len(residual)
-    field = np.tile([20_000.0, -3_000.0, 40_000.0], (count, 1))
+    field = np.tile([20_000.0, -3_000.0, 40_000.0], (count, 1)) if field is None else field
     samples = xr.Dataset(
         {
             "tt2000": ("time", stamps_of(count)),
@@ -205,6 +207,23 @@ def test_scatter_inside_bins_and_of_their_means_add_up_to_the_whole():
     assert sums["square"] == pytest.approx(np.sum(residual**2))
     means = 10 * np.sum(rows.residual**2)
     assert sums["inside"] + means == pytest.approx(sums["square"])
+
+
+def test_the_strength_of_a_bin_in_which_the_spacecraft_slews_is_that_of_its_samples():
+    count, step = 3000, 20
+    seconds = np.arange(float(count))
+    strength = 4e4 + 5e3 * np.sin(seconds / 900.0)
+    # A half turn within two bins, as yaw steering makes it where the Sun lies in the orbit's plane.
+    angle = 0.5 * np.pi * np.tanh((seconds - 1500.0) / 12.0)
+    field = strength[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+    field[:, 2] = 0.1 * strength
+    rows, _ = coarse(quiet(5), step=step, field=field)
+    whole = np.linalg.norm(field, axis=1)
+    expected = whole.reshape(-1, step).mean(axis=1)
+    np.testing.assert_allclose(field_strength(rows.samples), expected, rtol=1e-12)
+    rate = field_strength_rate(rows.samples)
+    native = np.gradient(whole).reshape(-1, step).mean(axis=1)
+    np.testing.assert_allclose(rate[2:-2], native[2:-2], atol=1e-3 * np.abs(native).max())
 
 
 def test_bins_weigh_what_they_hold_and_empty_ones_nothing():
