@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command
-from inflight.cli.diagnosis_text import print_diagnosis, print_revision, told_with_others
+from inflight.cli.diagnosis_text import differences_from_diagnosis, print_diagnosis, print_revision
 from inflight.cli.processing import (
     DetailsOption,
     EndOption,
@@ -212,5 +212,5 @@ def _revise(
         require_change(workspace, name, *asked)
     with command.progress() as progress, lazy_client(workers) as client:
         fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
-    fields["told_with_others"] = told_with_others(last_diagnosis(workspace, name), fields)
+    fields["told_with_others"] = differences_from_diagnosis(last_diagnosis(workspace, name), fields)
     command.emit(fields, lambda console: print_revision(console, fields))

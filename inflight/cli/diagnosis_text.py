@@ -130,15 +130,13 @@ def _heading(fields: Fields) -> tuple[str, str]:
 def made_from_text(fields: Fields) -> str:
     """Return of which model, days and samples all of it is."""
     model, blocks = fields["model"], fields["blocks"]
-    span = f"{blocks['start'][:10]} to {_last_day(blocks['end'])}, " if "start" in blocks else ""
+    span = ""
+    if "start" in blocks:
+        # A span up to midnight ends the day before.
+        last = datetime.fromisoformat(blocks["end"][:19]) - timedelta(seconds=1)
+        span = f"{blocks['start'][:10]} to {last.date()}, "
     count = f", {blocks['samples']} samples" if blocks.get("samples") else ""
     return f"{span}model {model['name']} version {model['version']}{count}"
-
-
-def _last_day(end: str) -> str:
-    """Return the day that a span ends with; a span up to midnight ends the day before."""
-    last = datetime.fromisoformat(end[:19]) - timedelta(seconds=1)
-    return str(last.date())
 
 
 def _sizes_text(residual: Fields) -> str:
@@ -487,7 +485,7 @@ def with_error(value: float, sigma: float) -> tuple[str, str]:
     return f"{value:.{digits}e}", f"{sigma:.1e}"
 
 
-def told_with_others(found: Fields | None, fields: Fields) -> str:
+def differences_from_diagnosis(found: Fields | None, fields: Fields) -> str:
     """Return how numbers of an effect that was added differ from those of the diagnosis that named it.
 
     A diagnosis fits all that it found together; an effect added alone stands for what of the others goes with

@@ -947,14 +947,14 @@ def _binned(
             means, _ = bins.means(samples[role].values, good)
             data[role] = xr.Variable(samples[role].dims, np.asfortranarray(means))
     field = np.asfortranarray(bins.means(rows.field, good)[0])
+    direction = direction_of(field)
     if rows.residual.shape[1] == 1:
         # A row is the field's strength. The mean of a vector that turns within a bin, as a spacecraft that
         # slews makes it, is too short: its rate of change would be thousands of nT from one bin to the next.
         strength, _ = bins.means(np.sqrt(np.einsum("ta,ta->t", rows.field, rows.field)), good)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            field *= (strength / np.sqrt(np.einsum("ta,ta->t", field, field)))[:, None]
+        field = np.asfortranarray(direction * strength[:, None])
     data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
-    data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
+    data["field_direction"] = xr.Variable(("time", "axis"), direction, {"units": "1"})
     return xr.Dataset(data)
 
 

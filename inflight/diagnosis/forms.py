@@ -759,15 +759,15 @@ class CellProducts:
 
     @classmethod
     def of(
-        cls, rows: CellRows, asked: Mapping[str, tuple[ModelEffect, Sequence[Followed]]]
+        cls, rows: CellRows, asked: Mapping[str, Mapping[Followed, ModelEffect]]
     ) -> dict[str, CellProducts]:
         """Return the products of cells of several rows of the table, which follow nearly the same series.
 
         Parameters
         ----------
         rows : CellRows
-        asked : mapping of str to (ModelEffect, sequence of Followed)
-            Effect of the row -> that of any of its cells, and the cells.
+        asked : mapping of str to mapping of Followed to ModelEffect
+            Effect of the row -> its cells, with their effects: all the same but for the channel.
         """
         made: dict[str, CellProducts] = {}
         for about_mean in (False, True):
@@ -779,16 +779,16 @@ class CellProducts:
     def _alike(
         cls,
         rows: CellRows,
-        asked: Mapping[str, tuple[ModelEffect, Sequence[Followed]]],
+        asked: Mapping[str, Mapping[Followed, ModelEffect]],
         about_mean: bool,
     ) -> dict[str, CellProducts]:
         """Return the same of rows that all follow channels about their means, or all as they are."""
         root = np.sqrt(rows.data.series["weight"])[:, None, None]
         sums = {
-            label: _CellSums(rows, _acting_columns(rows.data, entry) * root, cells)
-            for label, (entry, cells) in asked.items()
+            label: _CellSums(rows, _acting_columns(rows.data, next(iter(cells.values()))) * root, list(cells))
+            for label, cells in asked.items()
         }
-        every = list(dict.fromkeys(cell for _, cells in asked.values() for cell in cells))
+        every = list(dict.fromkeys(cell for cells in asked.values() for cell in cells))
         for some in in_turns(slice(0, len(every)), max(1, _AT_ONCE // max(len(rows.left), 1))):
             values = rows.followed(every[some], about_mean)
             for one in sums.values():
@@ -869,8 +869,7 @@ def _table_rows(
     entries = {label: own for label, own in entries.items() if own}
     if not entries:
         return {}
-    asked = {label: (next(iter(own.values())), list(own)) for label, own in entries.items()}
-    products = CellProducts.of(CellRows(search, data), asked)
+    products = CellProducts.of(CellRows(search, data), entries)
     return {label: _TableRow(own, products[label]) for label, own in entries.items()}
 
 

@@ -101,8 +101,8 @@ class _Shared:
         """The calibration's products with itself; (block, fit, base, base)."""
         return self.given[..., : self.base]
 
-    def append(self, across: Floats, inner: Floats, given: Floats) -> slice:
-        """Append columns; return their places.
+    def append(self, across: Floats, inner: Floats, given: Floats) -> None:
+        """Append columns.
 
         Parameters
         ----------
@@ -117,7 +117,6 @@ class _Shared:
             self.given = wider
         self.rest.append(across, inner, self.given.shape[-1])
         self.given[..., old:new] = given
-        return slice(old, new)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,9 +236,10 @@ class FactoredGrams:
             fit, total = fitted[at, 0].T, np.zeros((places.size - k, places.size - k), dtype=np.float32)
             for row, some in own:
                 left = np.empty((places.size - k, some.stop - some.start), dtype=np.float32)
-                of, library, others = values[:k, row, some], values[k:, row, some], residual[:, row, some]
-                np.subtract(library, fit[k:count] @ of, out=left[: count - k], casting="same_kind")
-                np.subtract(others, fit[count:] @ of, out=left[count - k :], casting="same_kind")
+                calibration, library = values[:k, row, some], values[k:, row, some]
+                np.subtract(library, fit[k:count] @ calibration, out=left[: count - k], casting="same_kind")
+                other = residual[:, row, some]
+                np.subtract(other, fit[count:] @ calibration, out=left[count - k :], casting="same_kind")
                 if not whole:
                     left *= root[some]
                 total += left @ left.T
@@ -355,9 +355,9 @@ class FactoredGrams:
         places = {name: place for place, name in enumerate(order)}
         own = [place for place, name in enumerate(names) if name in places]
         # Where each entry is in a store: its upper triangle, row by row.
-        second, first = (kept[places + k] - k for places in np.tril_indices(width - k))
+        first, second = (kept[places + k] - k for places in np.triu_indices(width - k))
         table = first * (2 * (len(stored) - k) - first - 1) // 2 + second
-        entries = places_of_entries(*(places + k for places in np.tril_indices(width - k)))
+        entries = _stored_entries(width, k)
         rest = Triangles.zeros(blocks, width)
         known: dict[str, Any] = {}
         at = 0

@@ -837,42 +837,35 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     stated = np.array([float(entry.parameters[name].sigma[index, 0]) for name, index in names])
     sigma = np.where(np.isfinite(stated), stated, [kinds[name].sigma for name, _ in names])
     steps = np.array([kinds[name].step for name, _ in names])
-    value, weight, before = start.copy(), None, np.nan
+
+    def rows_at(values: Floats) -> tuple[Floats, Floats, Floats]:
+        return _rows(with_constant_values(model, entry, names, values), samples)
+
+    value, rows = start, rows_at(start)
+    before = _rms(*rows[:2])
     for _ in range(FOLDED_FIT_SETTINGS.rounds):
-        now = with_constant_values(model, entry, names, value)
-        residual, base, interval = _rows(now, samples)
-        if weight is None:
-            weight, before = base, _rms(residual, base)
+        residual, base, interval = rows
         columns = np.stack(
-            [
-                (
-                    _rows(with_constant_values(model, entry, names, value + step), samples)[0]
-                    - _rows(with_constant_values(model, entry, names, value - step), samples)[0]
-                )
-                for step in np.diag(steps)
-            ],
-            axis=1,
+            [rows_at(value + step)[0] - rows_at(value - step)[0] for step in np.diag(steps)], axis=1
         ) / (2.0 * steps)
         weight = base * _interval_weights(residual, base, interval)
         change, covariance = _solve_robustly(columns, residual, weight, interval, (start - value), sigma)
         tried = [value + part * change for part in FOLDED_FIT_SETTINGS.parts]
-        left = [
-            _rms(_rows(with_constant_values(model, entry, names, one), samples)[0], weight) for one in tried
-        ]
+        found = [rows_at(one) for one in tried]
+        left = np.array([_rms(one[0], weight) for one in found])
         # Where the rows do not tell, the prior does: the largest part.
-        value = tried[int(np.argmax(np.array(left) <= (1.0 + FOLDED_FIT_SETTINGS.alike) * min(left)))]
+        best = int(np.argmax(left <= (1.0 + FOLDED_FIT_SETTINGS.alike) * left.min()))
+        value, rows = tried[best], found[best]
         if np.all(np.abs(change) <= FOLDED_FIT_SETTINGS.settled * np.sqrt(np.diag(covariance))):
             break
-    fitted = with_constant_values(model, entry, names, value)
-    residual, base, _ = _rows(fitted, samples)
     return SpinFit(
         names=names,
         value=value,
         sigma=np.sqrt(np.diag(covariance)),
         covariance=covariance,
-        model=fitted,
+        model=with_constant_values(model, entry, names, value),
         before=before,
-        after=_rms(residual, base),
+        after=_rms(*rows[:2]),
     )
 
 

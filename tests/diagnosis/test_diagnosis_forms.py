@@ -65,7 +65,7 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     cells = _cells(search, data, label, ["boom_temperature"])
     assert len(cells) >= (1 if label == "channel_field" else 5)
     made = [_option(search, data, one, _entry(data, label, one)) for one in cells]
-    products = CellProducts.of(CellRows(search, data), {label: (made[0][0].entry, cells)})[label]
+    products = CellProducts.of(CellRows(search, data), {label: dict.fromkeys(cells, made[0][0].entry)})[label]
     joined = join_terms(search.of_model(), data, [term for term, _ in made])
     grams = joined.forms["raw"]
     folds = make_folds(len(grams))
@@ -84,8 +84,8 @@ def test_rows_of_the_table_made_together_are_those_made_alone(monkeypatch):
     for label in ACTS_ON.values():
         cells = _cells(search, data, label, list(CHANNELS))
         if cells:
-            asked[label] = _entry(data, label, cells[0]), cells
-    assert len({tuple(cells) for _, cells in asked.values()}) > 1
+            asked[label] = {one: _entry(data, label, one) for one in cells}
+    assert len({tuple(cells) for cells in asked.values()}) > 1
     rows = CellRows(search, data)
     # A few cells at a time, which are not the same ones of each row.
     monkeypatch.setattr("inflight.diagnosis.forms._AT_ONCE", 3 * len(rows.left))
