@@ -41,6 +41,10 @@ EARTH_RADIUS = 6371.0
 
 SUN_RADIUS = 0.2666 * np.pi / 180.0
 
+#: Where the Earth's shadow may end, km beyond that radius, and layers between: the equator is 7 km farther out
+#: and the poles 14 km closer, and some 10 to 20 km of air dim the Sun.
+SHADOW_LAYERS = (-15.0, 0.0, 15.0, 30.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GeometrySettings:
@@ -122,7 +126,7 @@ def rotate_with_earth(vectors: Floats, days: Floats, sign: int) -> Floats:
     return np.stack([cos * x - sin * y, sin * x + cos * y, z]).T
 
 
-def sunlit_fraction(position: Floats, sun: Floats) -> Floats:
+def sunlit_fraction(position: Floats, sun: Floats, height: float = 0.0) -> Floats:
     """Return how much of the Sun's disc the Earth leaves free: 0 in umbra, 1 in full light; (time,).
 
     Parameters
@@ -131,11 +135,13 @@ def sunlit_fraction(position: Floats, sun: Floats) -> Floats:
         km from the centre of the Earth, taken as a sphere without air.
     sun : ndarray, shape (time, 3)
         Unit vector to the Sun, same frame.
+    height : float
+        km that the shadow reaches beyond that sphere.
     """
     radius = np.linalg.norm(position, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = -np.einsum("ta,ta->t", position, sun) / radius
-        earth = np.arcsin(np.minimum(EARTH_RADIUS / radius, 1.0))
+        earth = np.arcsin(np.minimum((EARTH_RADIUS + height) / radius, 1.0))
     return 1.0 - _covered(np.arccos(np.clip(cosine, -1.0, 1.0)), earth, SUN_RADIUS)
 
 
@@ -309,6 +315,8 @@ GEOMETRY = {
     "local_time": "h",
     "sunlit": "1",
     "sun_direction": "1",
+    "shadow_entry": "1",
+    "shadow_exit": "1",
 }
 
 #: Variables of samples that they are made from.
@@ -316,6 +324,9 @@ _GEOMETRY_INPUTS = ("tt2000", "position", "attitude", "vector", "inboard")
 
 #: Those made from the orbit's plane.
 _PHASES = ("orbit_phase", "sun_phase")
+
+#: What the Earth's shadow makes, and where it is not known well; see `_shadow_edges`.
+SHADOW, SHADOW_EDGES = "sunlit", ("shadow_entry", "shadow_exit")
 
 #: Those that a slow response or a play may be made of: positions are enough for them.
 SLOW_GEOMETRY = ("sunlit", "latitude")
@@ -340,14 +351,16 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         With `latitude`, `longitude` (deg, geocentric), `orbit_phase` (deg, 0 at the ascending node),
         `sun_phase` (deg along the orbit from the point nearest the Sun; NaN where there is none),
         `local_time` (h, mean solar), `sunlit` (1 in light, 0 in shadow), `sun_direction` (time,
-        axis), unit vector in the vector sensor's axes. Nothing is added without a position in a
+        axis), unit vector in the vector sensor's axes; `shadow_entry` and `shadow_exit` (time, axis), where
+        light fades and where it returns: by how much less light there is when the shadow ends at the upper
+        instead of the lower edge of each of `SHADOW_LAYERS`. Nothing is added without a position in a
         known frame, no Sun direction without an attitude, and nothing that is there is replaced.
     """
     place = _place(samples)
     if place is None:
         return samples
     missing = [name for name in names if name not in samples]
-    normal = _orbit_normal(place) if set(missing) & set(_PHASES) else None
+    normal = _orbit_normal(place) if set(missing) & {*_PHASES, *SHADOW_EDGES} else None
     return samples.assign(_as_variables(_geometry(samples, place, normal, missing)))
 
 
@@ -411,6 +424,8 @@ def _geometry(
         found |= {"latitude": latitude, "longitude": longitude, "local_time": hours}
     if normal is not None:
         found |= dict(zip(_PHASES, _phases(place, normal), strict=True))
+        if set(SHADOW_EDGES) & set(names):
+            found |= dict(zip(SHADOW_EDGES, _shadow_edges(place, found["sun_phase"]), strict=True))
     if "sunlit" in names:
         found["sunlit"] = sunlit_fraction(place.inertial, place.sun)
     towards = _sun_in_sensor(samples, place) if "sun_direction" in names else None
@@ -459,6 +474,14 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
 
     phase = angle(place.inertial)
     return np.rad2deg(phase) % 360.0, np.rad2deg(phase - angle(place.sun)) % 360.0
+
+
+def _shadow_edges(place: _Place, sun_phase: Floats) -> tuple[Floats, Floats]:
+    """Return by how much less light there is in each layer, where it fades and where it returns; (time, 3)."""
+    light = np.stack([sunlit_fraction(place.inertial, place.sun, height) for height in SHADOW_LAYERS])
+    changed = -np.diff(light, axis=0).T
+    away = np.where(np.isnan(sun_phase), 0.5, sun_phase < 180.0)[:, None]
+    return changed * away, changed * (1.0 - away)
 
 
 def _neighbours(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:

@@ -228,6 +228,12 @@ class Library:
         What cannot be tried, and why.
     unlagged : frozenset of str
         Channels that go with the spin: between the samples of a synthetic turn there is no time.
+    edges : list of Term
+        What is fitted beside everything that follows the Earth's shadow: a field where light fades and one
+        where it returns. The shadow's width is known to some kilometres only, and what a wrong one leaves
+        of a field in sunlight others would explain.
+    edged : bool
+        The model itself has something that follows the shadow: `edges` are always fitted.
     """
 
     base: list[Term] = field(default_factory=list)
@@ -237,11 +243,13 @@ class Library:
     placebos: dict[str, float] = field(default_factory=dict)
     unscorable: list[dict[str, str]] = field(default_factory=list)
     unlagged: frozenset[str] = frozenset()
+    edges: list[Term] = field(default_factory=list)
+    edged: bool = False
 
     @property
     def all_terms(self) -> list[Term]:
-        """Terms in the order of their columns: base, refined, candidates'."""
-        return [*self.base, *self.refined, *self.terms.values()]
+        """Terms in the order of their columns: base, refined, edges, candidates'."""
+        return [*self.base, *self.refined, *self.edges, *self.terms.values()]
 
     @property
     def by_key(self) -> dict[str, Term]:

@@ -15,8 +15,9 @@ import numpy as np
 
 from inflight.design import Candidate, ChannelSummary, Library, Term, term_of
 from inflight.diagnosis.model_numbers import difference_of, held_numbers
-from inflight.effects import Effect, family_of, known_effects
+from inflight.effects import Effect, channels_of, family_of, known_effects
 from inflight.errors import InflightError
+from inflight.frames import SHADOW, SHADOW_EDGES
 from inflight.mission import Mission, Sensor, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import base_channels, parse_channel
@@ -128,7 +129,23 @@ def make_library(
         library.add(Candidate(key, key, "sensor", (), (key,)), [own])
     _add_numbers(library, mission, model, channels, 0.5 * periods[0])
     _add_placebos(library, mission, model, shifts)
+    _add_edges(library, mission, model, there)
     return library
+
+
+def _add_edges(library: Library, mission: Mission, model: Model, there: set[str]) -> None:
+    """Add what is fitted beside all that follows the Earth's shadow; see `Library.edges`."""
+    used = {name for entry in model.effects for name in entry.effect.channels if name}
+    library.edged = any(SHADOW in base_channels(name) for name in used)
+    # A channel of that name, which the mission delivers, knows the light.
+    if SHADOW in channels_of(mission) or not there >= {SHADOW, *SHADOW_EDGES}:
+        return
+    sensors = acting_sensors(known_effects(model.own)["channel_field"], mission, model)
+    for channel in SHADOW_EDGES:
+        entry = {"effect": "channel_matrix", "sensor": sensors[0].name, "channel": channel}
+        made = effect_or_none(entry, mission, model)
+        if made is not None:
+            library.edges.append(term_of(made, channel))
 
 
 def _add_numbers(

@@ -657,7 +657,7 @@ def cross_talk(search: Search) -> CrossTalk:
     """
     base, refined = (
         [pair for term in terms for pair in zip(term.columns, term.sigma, strict=True)]
-        for terms in (search.library.base, search.library.refined)
+        for terms in (search.library.base, search.fitted_terms)
     )
     found = [(name, np.inf) for option in search.accepted for name in option.columns]
     every = [*base, *refined, *found]

@@ -637,7 +637,7 @@ class FormTrials:
         self.terms = search.library.by_key
         others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
-        kept = [*search.library.refined, *(self.terms[key] for key in keys)]
+        kept = [*search.fitted_terms, *(self.terms[key] for key in keys)]
         residual = self.series["residual"].reshape(len(self.series.tt2000), -1)
         self.block = np.repeat(self.series.block, residual.shape[1])
         self.root = np.sqrt(np.repeat(self.series["weight"], residual.shape[1]))

@@ -275,7 +275,7 @@ def _terms_and_rows(
 ) -> tuple[list[Term], DesignRows]:
     """Return the terms of calibration, model and some options, and the series as rows for them."""
     terms = search.library.by_key
-    chosen = [*search.library.base, *search.library.refined]
+    chosen = [*search.library.base, *search.fitted_terms]
     used = {key for option in options for key in option.terms}
     changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
     used |= {key for key, term in terms.items() if changing & set(term.columns)}
@@ -340,7 +340,7 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
     With each come the names of the refined and taken columns.
     """
     grams = search.forms["raw"]
-    refined = [name for term in search.library.refined for name in term.columns]
+    refined = [name for term in search.fitted_terms for name in term.columns]
     names = [*refined, *present]
     precision = search.precision(grams, names, search.sigma_of_model(len(names)))
     place, y = grams.index(names), search.y("raw")
@@ -490,7 +490,7 @@ def correctable_grams(
     """
     raw, series = search.raw, gaps.series
     base, sigma = search.base()
-    model = [name for term in search.library.refined for name in term.columns]
+    model = [name for term in search.fitted_terms for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
     order = np.array([*raw.index([*base, *model]), raw.residuals[search.residual]])
     rows, made = iter_model_columns(search, series, sensor_matrices, search.accepted, [*base, *model])

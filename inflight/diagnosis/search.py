@@ -43,6 +43,7 @@ from inflight.diagnosis.time_changes import (
     episodes,
     steps,
 )
+from inflight.frames import SHADOW
 from inflight.lsq import BlockProducts, CalibratedBlocks, FactoredGrams, GramBlocks, TimedGrams, hac_t
 
 Groups = Sequence[Sequence[int]]
@@ -568,9 +569,15 @@ class Search:
         """Return the columns of the model without those of the calibration, with their priors."""
         return self.present_in(self.forms[form], without)
 
+    @property
+    def fitted_terms(self) -> list[Term]:
+        """What is fitted with all that was taken: numbers of the model, and the edges of a shadow in use."""
+        in_use = self.library.edged or any(SHADOW in one.channels for one in self.accepted)
+        return [*self.library.refined, *(self.library.edges if in_use else [])]
+
     def model_columns(self, without: Option | None = None) -> list[str]:
-        """Return the model's columns without those of the calibration: refined ones, then those taken."""
-        names = [name for term in self.library.refined for name in term.columns]
+        """Return the model's columns without those of the calibration: `fitted_terms`, then those taken."""
+        names = [name for term in self.fitted_terms for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
     def present_in(self, grams: BlockProducts, without: Option | None = None) -> ModelColumns:
@@ -580,10 +587,10 @@ class Search:
         return ModelColumns(grams.index(names), self.precision(grams, names, sigma), self.variance)
 
     def sigma_of_model(self, count: int) -> Floats:
-        """Return what is known beforehand of the model's columns, refined ones first; (count,)."""
+        """Return what is known beforehand of the model's columns, in their order; (count,)."""
         numbers = [
             (name.partition("[")[0], sigma)
-            for term in self.library.refined
+            for term in self.fitted_terms
             for name, sigma in zip(term.columns, term.sigma, strict=True)
         ]
         known = [
@@ -614,7 +621,7 @@ class Search:
         ratios: dict[str, tuple[Floats, Floats]] = {}
         for form, grams in self.forms.items():
             present, y = self.present(form, without), self.y(form)
-            columns = [grams.index(option.columns) for option in main]
+            columns = [grams.index([*option.columns, *self._edges_of(option)]) for option in main]
             scores[form] = score(grams, present, columns, y, make_folds(len(grams)))
             ratios[form] = sign_flip_ratios(grams, present, columns, y, signs, units)
         options = list(main)
@@ -644,6 +651,12 @@ class Search:
             for form, one in scores.items()
         }
         return ScoreTable(options, scores, p, over_placebo)
+
+    def _edges_of(self, option: Option) -> list[str]:
+        """Return the columns that an option is tried with: of the shadow it follows, where none is in use."""
+        if SHADOW not in option.channels or len(self.fitted_terms) > len(self.library.refined):
+            return []
+        return [name for term in self.library.edges for name in term.columns]
 
     def _changes(
         self, without: Option | None

@@ -131,7 +131,7 @@ def gram_of_means(
 def terms_of(search: Search, options: Sequence[Option]) -> list[Term]:
     """Return the terms of calibration, model and some options."""
     sources = {source for one in options for source in one.sources}
-    own = {term.key for term in (*search.library.base, *search.library.refined)}
+    own = {term.key for term in (*search.library.base, *search.fitted_terms)}
     return [term for term in search.library.all_terms if term.key in own or sources & set(term.columns)]
 
 

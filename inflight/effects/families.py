@@ -68,6 +68,8 @@ NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase", "spin_axis")
 #: The same of what `inflight.frames.add_geometry` works out.
 FAMILY_OF_GEOMETRY = {
     "sunlit": "day_night",
+    "shadow_entry": "day_night",
+    "shadow_exit": "day_night",
     "sun_direction": "sun_angle",
     "sun_phase": "day_night",
     "local_time": "sun_angle",
