@@ -41,8 +41,8 @@ EARTH_RADIUS = 6371.0
 
 SUN_RADIUS = 0.2666 * np.pi / 180.0
 
-#: Where the Earth's shadow may end, km beyond that radius, and layers between: the equator is 7 km farther out
-#: and the poles 14 km closer, and some 10 to 20 km of air dim the Sun.
+#: Where the Earth's shadow may end, km beyond that radius, and layers between: the equator is 7 km farther
+#: out and the poles 14 km closer, and some 10 to 20 km of air dim the Sun.
 SHADOW_LAYERS = (-15.0, 0.0, 15.0, 30.0)
 
 
@@ -477,7 +477,7 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _shadow_edges(place: _Place, sun_phase: Floats) -> tuple[Floats, Floats]:
-    """Return by how much less light there is in each layer, where it fades and where it returns; (time, 3)."""
+    """Return the light of each of `SHADOW_LAYERS`, where it fades and where it returns; (time, layer)."""
     light = np.stack([sunlit_fraction(place.inertial, place.sun, height) for height in SHADOW_LAYERS])
     changed = -np.diff(light, axis=0).T
     away = np.where(np.isnan(sun_phase), 0.5, sun_phase < 180.0)[:, None]

@@ -81,6 +81,7 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
         _sizes_text(fields["residual"]),
         made_from_text(fields),
         *(["what is left: only noise"] if left else []),
+        *_at_edges(fields["residual"]),
         *_in_time(fields.get("in_time", ())),
         *_undecided(fields),
         *units,
@@ -151,6 +152,15 @@ def _sizes_text(residual: Fields) -> str:
         f"residual {held_out} nT on days not used in the fit ({every} nT on all days); noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
     )
+
+
+def _at_edges(residual: Fields) -> Iterator[str]:
+    """Yield what is fitted at the edges of the Earth's shadow, which no effect has."""
+    if size := residual.get("shadow_edges_nT"):
+        yield (
+            f"{_number(size, 2)} nT rms more are at the edges of the Earth's shadow, which are known to some "
+            "kilometres only: nothing to add"
+        )
 
 
 def _later_days(fields: Fields) -> Iterator[str]:

@@ -295,8 +295,9 @@ class Diagnosis:
         ``verdict`` and ``signature`` of what remains after the effects.
     residual : dict
         Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
-        the comparison. ``uncorrected`` lists channels of the effects and the part of the record each is
-        missing in: sizes are of the other rows.
+        the comparison. ``shadow_edges_nT`` is what was fitted at the edges of the Earth's shadow, which
+        are known to some kilometres, beside what follows it. ``uncorrected`` lists channels of the
+        effects and the part of the record each is missing in: sizes are of the other rows.
     rounds : tuple of dict
         Ledger of additions and removals.
     candidates : tuple of dict

@@ -1112,8 +1112,29 @@ def _residual_sizes(
         "noise_floor_high_nT": remaining.floor.high_nT,
         "structure_nT": remaining.structure.rms_nT,
         "structure_t": remaining.structure.t,
+        "shadow_edges_nT": _rms_at_edges(search),
         "uncorrected": data.gaps.as_json() if data.gaps else [],
     }
+
+
+def _rms_at_edges(search: Search) -> float:
+    """Return what is fitted at the edges of the Earth's shadow beside what follows it; nT rms.
+
+    0 where nothing follows it, and where it is less than an addition must explain.
+    """
+    edges = {name for term in search.library.edges for name in term.columns}
+    places = np.flatnonzero([name in edges for name in search.model_columns()])
+    if not places.size:
+        return 0.0
+    grams, present = search.forms["raw"], search.present()
+    value, _ = joint_fit(grams, present, search.y())
+    others = np.setdiff1d(np.arange(present.columns.size), places)
+    rest = ModelColumns(present.columns[others], present.precision[others])
+    left = project_out_of(grams, rest, present.columns[places])
+    size = max(float(value[places] @ left @ value[places]), 0.0)
+    if size <= search.rules.gain * float(grams.squares[:, search.y()].sum()):
+        return 0.0
+    return float(np.sqrt(size / max(float(grams.count.sum()), 1.0)))
 
 
 def _is_shape(option: Option) -> bool:

@@ -489,6 +489,8 @@ def _geometry(phase: Floats) -> dict[str, Floats]:
         "latitude": 90.0 * np.sin(phase),
         "longitude": np.rad2deg(phase) - 180.0,
         "sun_direction": sun / np.linalg.norm(sun, axis=1, keepdims=True),
+        "shadow_entry": (np.abs(phase - 4.0) < 0.02).astype(np.float64)[:, None] * np.eye(3)[0],
+        "shadow_exit": (phase < 0.02).astype(np.float64)[:, None] * np.eye(3)[0],
     }
 
 

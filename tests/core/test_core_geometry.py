@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from inflight.frames import (
     EARTH_RADIUS,
     GEOMETRY,
+    SHADOW_LAYERS,
     add_geometry,
     days_since_j2000,
     from_date,
@@ -269,3 +270,22 @@ def test_vectors_turn_as_the_library_for_rotations_turns_them():
         rotate(field, quaternion[0]), Rotation.from_quat(quaternion[0]).apply(field), rtol=1e-12, atol=1e-14
     )
     assert np.isnan(rotate(field, 0.1 * quaternion)).all()
+
+
+def test_layers_of_the_shadow_are_where_light_fades_and_where_it_returns():
+    samples, _, _ = orbit(step=2.0)
+    found = add_geometry(samples)
+    entry, leaving, lit = (found[name].values for name in ("shadow_entry", "shadow_exit", "sunlit"))
+    days = days_since_j2000(samples["tt2000"].values)
+    place, sun = rotate_with_earth(samples["position"].values, days, 1), sun_direction(days)
+    narrow, wide = (sunlit_fraction(place, sun, SHADOW_LAYERS[end]) for end in (0, -1))
+    assert (entry + leaving).sum(axis=1) == pytest.approx(narrow - wide, abs=1e-12)
+    assert np.all(entry >= 0)
+    assert np.all(leaving >= 0)
+    # Both happen, never at once; light fades before the shadow and returns after it.
+    here, there = entry.max(axis=1) > 0.1, leaving.max(axis=1) > 0.1
+    assert here.any()
+    assert there.any()
+    assert not np.any(here & there)
+    slope = np.gradient(lit)
+    assert slope[here].sum() < 0 < slope[there].sum()
