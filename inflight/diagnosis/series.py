@@ -93,7 +93,11 @@ def features_of(rows: DesignRows, channels: Sequence[str]) -> Features:
 
 
 def thin_rows(rows: DesignRows, features: Features, step: int) -> tuple[Int64, Floats]:
-    """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins."""
+    """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins.
+
+    In a scalar comparison the field has the mean strength of the bins: the mean of a vector that turns
+    meanwhile is too short.
+    """
     count = len(rows.weight) // step * step
     weight = rows.weight[:count].reshape(-1, step)
     total = weight.sum(axis=1)
@@ -116,6 +120,11 @@ def thin_rows(rows: DesignRows, features: Features, step: int) -> tuple[Int64, F
             # A row without weight has its channels all the same: slow responses need them.
             lost |= ~good.any(axis=1)
         part[lost] = np.nan
+        if name == "field" and rows.residual.shape[1] == 1:
+            strength = np.linalg.norm(flat, axis=2)
+            part = (
+                direction_of(part) * (np.where(good.all(axis=2), strength, 0.0) * factor).sum(axis=1)[:, None]
+            )
         columns.append(part)
     stamps = rows.samples["tt2000"].values[:count].reshape(-1, step)
     at = columns[features.names.index("weight")]

@@ -108,6 +108,28 @@ def test_the_part_that_could_not_be_corrected_is_told_with_its_channel():
     assert "11% for want of heater_current" in told.sentence
 
 
+@pytest.mark.parametrize("components", [1, 3])
+def test_the_field_of_means_of_several_rows_has_their_strength_where_that_is_compared(components):
+    count, step = 600, 10
+    angle = 0.2 * np.arange(count)
+    strength = 30_000.0 + np.arange(count)
+    field = strength[:, None] * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+    samples = xr.Dataset(
+        {
+            "tt2000": ("time", 1000 * SECOND + 10 * SECOND * np.arange(count)),
+            "field": (("time", "axis"), field),
+        }
+    )
+    rows = DesignRows(samples, np.zeros((count, components)), {}, {}, np.ones(count))
+    features = features_of(rows, [])
+    values = thin_rows(rows, features, step)[1][:, features.place("field")]
+    whole = strength.reshape(-1, step).mean(axis=1)
+    if components == 1:
+        assert np.linalg.norm(values, axis=1) == pytest.approx(whole, rel=1e-9)
+    else:
+        assert values == pytest.approx(field.reshape(-1, step, 3).mean(axis=1))
+
+
 def test_sizes_before_and_after_are_of_the_same_rows():
     case, lost = gappy()
     rows = replace(case.rows, weight=np.where(lost, 0.0, case.rows.weight))
