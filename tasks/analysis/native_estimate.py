@@ -102,7 +102,8 @@ class NativeEstimator:
         sources = {source for option in (*search.accepted, *near) for source in option.sources}
         there = {name for term in (*own.base, *own.refined) for name in term.columns}
         needed = {term.key: term for term in own.all_terms if set(term.columns) & (sources - there)}
-        library = Library(own.base, own.refined, needed)
+        edges = search.fitted_terms[len(own.refined) :]
+        library = Library(own.base, own.refined, needed, edges=edges, edged=own.edged)
         used = {part.channel for name in library.channels for part in parse_channel(name).parts}
         geometry = {
             home
