@@ -351,7 +351,9 @@ class Diagnosis:
         if lead.name == LEFT and lead.status == "weak":
             return f"Something is there, {lead.takes_off_nT:.2g} nT rms, but {lead.words}."
         # What other causes do as well, and what turns an answer over, stands in its words.
-        more = "" if lead.status in ("rivals", "fragile") else f". {_SURE_SENTENCE[lead.status]}"
+        told = ("stand in for", "parts of one cause")
+        is_told = lead.status in ("rivals", "fragile") or any(one in lead.words for one in told)
+        more = "" if is_told else f". {_SURE_SENTENCE[lead.status]}"
         return f"{text}{more}."
 
     def after_plumbing(self, found: Sequence[Mapping[str, Any]]) -> Diagnosis:
@@ -736,7 +738,8 @@ def _effect_text(effect: FoundEffect) -> str:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.left_follows:
-        text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
+        means = "its form is nearly right" if effect.status == "sure" else "it may stand in for another form"
+        text += f"; what is left follows {effect.left_follows}, so that {means}"
     if effect.instead:
         text += f"; this and others may be parts of one cause: {effect.instead} does as well alone"
     if effect.turned_over_by:

@@ -141,12 +141,16 @@ class RemainingSettings:
         A search that leaves no more than so many times as much explains as much; assumed.
     shares : float
         Part of what is left at a line's period from which on an effect has that period, too; assumed.
+    nearly : float
+        What is left, as a part of an effect, below which its form is nearly right though what is left follows
+        another one of its kind: a wrong form would have to be 0.9987 correlated with the cause; assumed.
     """
 
     white: float = 0.1
     hint_t: float = 2.0
     as_much: float = 1.003
     shares: float = 1.0 / 3.0
+    nearly: float = 0.05
 
 
 REPORT_SETTINGS = ReportSettings()
@@ -318,7 +322,9 @@ def held_against_others(
             instead=instead.get(effect.name, ""),
             shares_line=effect.name in shared,
         )
-        is_stand_in = one.status == "sure" and bool(one.left_follows or one.instead)
+        is_nearly_right = remaining.structure.rms_nT < REMAINING_SETTINGS.nearly * one.rms_nT
+        is_other = bool(one.left_follows) and not is_nearly_right
+        is_stand_in = one.status == "sure" and (is_other or bool(one.instead))
         out.append(replace(one, status="stand-in") if is_stand_in else one)
     return tuple(out)
 

@@ -1,11 +1,13 @@
 """Cells of the table `acts on` x `follows`: products as of joined columns, and effects only they describe."""
 
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from diagnosis_cases import NOISE_NT, POLAR, case_of, flight_of, read
 
+from inflight.diagnosis import run_search
 from inflight.diagnosis.forms import (
     ACTS_ON,
     CellProducts,
@@ -21,8 +23,10 @@ from inflight.diagnosis.forms import (
     scalar_channels,
 )
 from inflight.diagnosis.refine import join_terms
+from inflight.diagnosis.residual import remaining_residual
 from inflight.diagnosis.scoring import make_folds, score
 from inflight.diagnosis.stepwise import _one_round
+from inflight.diagnosis.verdict import held_against_others
 
 CHANNELS = ("solar_current", "boom_temperature", "heater_current")
 
@@ -168,6 +172,20 @@ def test_an_effect_of_the_field_of_the_right_form_leaves_no_other_function_of_it
     assert [(one.name, one.status, one.left_follows) for one in found.effects] == [
         ("heading_anisotropy", "sure", "")
     ]
+
+
+@pytest.mark.parametrize(("part", "status"), [(0.01, "sure"), (0.2, "stand-in")])
+def test_an_effect_of_which_hardly_anything_is_left_is_nearly_right(monkeypatch, part, status):
+    """A hundredth of an effect, in another form of its kind, makes no doubt of the cause."""
+    case = flown()
+    data = case.material()
+    told, search = run_search(case.search(), data)
+    (effect,) = told.effects
+    monkeypatch.setattr("inflight.diagnosis.verdict.left_follows", lambda *_: {effect.name: "another form"})
+    size = SimpleNamespace(rms_nT=part * effect.rms_nT)
+    left = SimpleNamespace(is_there=True, structure=size, signature=None)
+    (found,) = held_against_others(search, data, told.effects, remaining_residual(search, data), left)
+    assert (effect.status, found.status, found.left_follows) == ("sure", status, "another form")
 
 
 @lru_cache(maxsize=1)

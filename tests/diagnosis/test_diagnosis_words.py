@@ -223,9 +223,11 @@ def test_an_effect_of_the_period_of_what_is_left_may_be_a_part_of_it(rms, status
 
 
 def test_an_effect_says_what_is_left_follows():
-    one = effect(0.1, left_follows="channel_scale(heater)")
+    one = effect(0.1, left_follows="channel_scale(heater)", status="stand-in")
     said = sentence(told("UNKNOWN_EFFECT", effects=(one,), residual=SIZES))
     assert "what is left follows channel_scale(heater), so that it may stand in for another form" in said
+    said = sentence(told("UNKNOWN_EFFECT", effects=(replace(one, status="sure"),), residual=SIZES))
+    assert "what is left follows channel_scale(heater), so that its form is nearly right" in said
     one = effect(0.1, instead="channel_field(heater@width=2)")
     said = sentence(told("NOTHING_LEFT", effects=(one,), residual=SIZES))
     assert "may be parts of one cause: channel_field(heater@width=2) does as well alone" in said
